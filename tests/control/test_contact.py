@@ -23,6 +23,7 @@ from minidual.robot.pair import DUAL_PANDA
 from minidual.skills.carry_motions import grasp_posture
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.tasks.task import level_part
+from tests.support.carries import impedance_carry
 from tests.support.carry_trials import sample_trial
 from tests.support.panda import DOF, HOME
 
@@ -182,7 +183,7 @@ def _carried(
 ) -> tuple[ImpedanceCarry, float]:
     trial = sample_trial(world.scene, 5, "arbiter", 0)
     world.reset(poses=trial.start)
-    carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
+    carry = impedance_carry(world, Kinematics(), CarryConfig(), trial, seed=5)
     began_s = np.inf
     onset_s = np.inf
     while not carry.done and world.time < 12.0:

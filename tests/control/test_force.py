@@ -15,9 +15,9 @@ from minidual.control.kernels import minimum_jerk
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import inverse, pose, rot_x, rot_z
-from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.object_path import ObjectPath, Waypoint
 from minidual.tasks.task import grasp_offsets
+from tests.support.carries import impedance_carry
 from tests.support import force_law_oracle as oracle
 from tests.support.carry_trials import PERFECT_SENSING, rod_judge, rod_trial, sample_trial
 from tests.support.panda import HOME, JOINT_DAMPING
@@ -128,7 +128,7 @@ def test_energy_does_not_grow_when_a_held_rod_is_let_swing(scene: SceneConfig) -
     config = CarryConfig(sensing=PERFECT_SENSING)
     trial = rod_trial("test", 0, (*scene.task.start_xy_m, 0.0), (*scene.task.start_xy_m, 0.0))
     world.reset(poses=trial.start)
-    carry = ImpedanceCarry(world, kinematics, config, trial)
+    carry = impedance_carry(world, kinematics, config, trial)
     while carry.phase != "carry":
         carry.step()
     energy = []
@@ -181,7 +181,7 @@ def test_one_real_carry_passes_and_is_the_same_twice(scene: SceneConfig) -> None
         world = World(scene)
         trial = sample_trial(scene, 5, "test", 0)
         world.reset(poses=trial.start)
-        carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial)
+        carry = impedance_carry(world, Kinematics(), CarryConfig(), trial)
         judge = rod_judge(scene, trial, demand_internal_force=True)
         while not carry.done and world.time < 14.0:
             carry.step()

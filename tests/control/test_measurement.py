@@ -18,8 +18,8 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, Array
 from minidual.skills.cycle import thing_of
-from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.supervised import trial_supervisor
+from tests.support.carries import impedance_carry
 from tests.support.carry_trials import sample_trial
 from tests.support.panda import DOF, HOME
 from tests.support.stacks import (
@@ -427,7 +427,7 @@ def test_coarse_encoders_carry(
     world.reset(poses=trial.start)
     shapes = (thing_of(scene.object).shape,)
     supervisor = trial_supervisor(SupervisorConfig(), world.dt, world.robot, shapes=shapes)
-    carry = ImpedanceCarry(world, kinematics, CarryConfig(), trial, supervisor=supervisor)
+    carry = impedance_carry(world, kinematics, CarryConfig(), trial, supervisor=supervisor)
     while not carry.done and world.time < 15.0:
         carry.step()
     assert carry.aborted is None

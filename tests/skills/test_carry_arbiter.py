@@ -30,6 +30,7 @@ from minidual.skills.carry_phases import CarryPhases
 from minidual.skills.faults import Fault
 from minidual.skills.impedance_carry import SOURCE, ImpedanceCarry
 from minidual.tasks.task import level_pose, tilt_rad
+from tests.support.carries import impedance_carry
 from tests.support.branches import Branches
 from tests.support.carry_trials import sample_trial
 from tests.support.panda import HOME, TAU_RATE_MAX
@@ -63,7 +64,7 @@ class Ride:
 
     @property
     def world(self) -> World:
-        return self.carry.world
+        return self.carry.plant
 
     @property
     def torque_step_nm(self) -> float:
@@ -87,7 +88,7 @@ class Ride:
     def step(self) -> None:
         carry = self.carry
         carry.step()
-        world = carry.world
+        world = carry.plant
         self.commanded.append(world.data.ctrl[world.joints.ctrl].copy())
         self.phases.append(carry.phase)
         self.active.append(carry.stack.manager.active)
@@ -105,7 +106,7 @@ def begun(world: World) -> Ride:
     """Return a carry that is to begin."""
     trial = sample_trial(world.scene, 5, "arbiter", 0)
     world.reset(poses=trial.start)
-    return Ride(ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5))
+    return Ride(impedance_carry(world, Kinematics(), CarryConfig(), trial, seed=5))
 
 
 def ride_through(world: World, each: Callable[[Ride], None] | None = None) -> Ride:
@@ -169,7 +170,7 @@ def test_in_the_air_the_motors_are_told_the_law_of_the_path_to_the_bit(world: Wo
     commanded: list[Array] = []
     trial = sample_trial(world.scene, 5, "arbiter", 1)
     world.reset(poses=trial.start)
-    carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
+    carry = impedance_carry(world, Kinematics(), CarryConfig(), trial, seed=5)
     while carry.phase != "unload":
         q = world.q
         v = world.v

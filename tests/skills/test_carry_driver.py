@@ -20,9 +20,9 @@ from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.faults import CLOSED, OPENING
-from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.supervised import trial_supervisor
 from minidual.skills.things import thing_of
+from tests.support.carries import impedance_carry
 from tests.support.carry_trials import sample_trial
 from tests.support.panda import TAU_MAX, TAU_RATE_MAX
 
@@ -81,7 +81,7 @@ class Disturbed:
         shapes = (thing_of(world.scene.object).shape,)
         self.supervisor = trial_supervisor(SupervisorConfig(), world.dt, world.robot, shapes=shapes)
         config = CarryConfig(sensing=sensing)
-        self.carry = ImpedanceCarry(
+        self.carry = impedance_carry(
             world,
             Kinematics(),
             config,

@@ -17,6 +17,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.skills import carry_phases
 from minidual.skills.faults import CLOSED, OPENING, Fault, FaultMonitor
 from minidual.skills.impedance_carry import ImpedanceCarry
+from tests.support.carries import impedance_carry
 from tests.support.branches import Branches
 from tests.support.carry_trials import rod_trial, sample_trial
 from tests.support.panda import A_MAX, DOF, TAU_MAX, TAU_RATE_MAX
@@ -56,7 +57,7 @@ class Run:
     """Where the left hand's fingers go instead of where they are told to."""
 
     def __post_init__(self) -> None:
-        self.world = self.carry.world
+        self.world = self.carry.plant
         command = self.world.command
         told = list[float]()
 
@@ -124,7 +125,7 @@ def carry(scene: SceneConfig) -> Iterator[Carry]:
         world = World(scene)
         trial = sample_trial(scene, 5, "faults", 3)
         world.reset(poses=trial.start)
-        return Run(ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5))
+        return Run(impedance_carry(world, Kinematics(), CarryConfig(), trial, seed=5))
 
     with Branches(start, Run.step, Run.reached, POINTS) as made:
         yield made
@@ -545,7 +546,7 @@ def test_an_unreachable_goal_is_told_before_the_object_is_lifted(scene: SceneCon
     world = World(far)
     trial = sample_trial(far, 5, "faults", 0)
     world.reset(poses=trial.start)
-    carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
+    carry = impedance_carry(world, Kinematics(), CarryConfig(), trial, seed=5)
     highest = 0.0
     while not carry.done:
         carry.step()
@@ -558,7 +559,7 @@ def test_an_unreachable_goal_is_told_before_the_object_is_lifted(scene: SceneCon
 def test_a_rod_out_of_reach_is_a_fault_before_the_arms_move(world: World) -> None:
     trial = rod_trial("faults", 0, (0.95, 0.6, 0.0), (0.5, 0.0, 0.0))
     world.reset(poses=trial.start)
-    carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
+    carry = impedance_carry(world, Kinematics(), CarryConfig(), trial, seed=5)
     q = world.q
     while not carry.done:
         carry.step()

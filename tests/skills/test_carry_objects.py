@@ -23,6 +23,7 @@ from minidual.tasks.judge import Judge, Outcome
 from minidual.tasks.objects import MOTIONS, OBJECTS
 from minidual.tasks.rod_carry import carry_config
 from minidual.tasks.task import Trial, placement, pose_of
+from tests.support.carries import impedance_carry
 from tests.support.panda import FINGER_TRAVEL_M
 
 
@@ -45,7 +46,7 @@ def carried(
     task = make_task(config)
     trial = trial_of(config, index)
     world.reset(poses=trial.start)
-    carry = ImpedanceCarry(world, Kinematics(), config.carry, trial, seed=7)
+    carry = impedance_carry(world, Kinematics(), config.carry, trial, seed=7)
     judge = Judge(task, trial, {"squeezed"})
     while not carry.done and not judge.finished:
         carry.step()
@@ -215,7 +216,7 @@ def test_the_object_is_turned_by_ninety_degrees() -> None:
     config = configured(motion="rotate")
     outcome, carry = carried(config)
     assert outcome.success, outcome.reason
-    axis = carry.world.object_pose()[:3, 1]
+    axis = carry.plant.object_pose()[:3, 1]
     goal_yaw = placement(trial_of(config).goal["rod"])[2]
     assert goal_yaw == pytest.approx(-np.pi / 2)
     assert abs(axis[0]) > 0.999  # it lay along y, and lies along x

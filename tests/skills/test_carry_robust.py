@@ -14,10 +14,10 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.skills import carry_phases
 from minidual.skills.faults import FaultMonitor
-from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.planned_carry import PlannedCarry
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
+from tests.support.carries import impedance_carry
 from tests.support.carry_trials import carry_task, sample_trial
 
 
@@ -160,7 +160,7 @@ def test_what_lies_on_the_table_is_grasped_at_its_known_height(monkeypatch):
     world = World(config.scene)
     trial = sample_trial(config.scene, 11, "robust", 0)
     world.reset(poses=trial.start)
-    carry = ImpedanceCarry(world, Kinematics(), config.carry, trial, seed=11)
+    carry = impedance_carry(world, Kinematics(), config.carry, trial, seed=11)
     while carry.phase in ("approach", "descend") and not carry.done:
         carry.step()
         sensed_m.append(carry.watch.T_world_object[2, 3])
@@ -176,7 +176,7 @@ def test_what_the_camera_sees_too_low_is_put_down_all_the_same():
     rest_m = config.scene.object.rest_height_m
     trial = sample_trial(config.scene, 11, "robust", 2)
     world.reset(poses=trial.start)
-    carry = ImpedanceCarry(world, Kinematics(), config.carry, trial, seed=11)
+    carry = impedance_carry(world, Kinematics(), config.carry, trial, seed=11)
     assert carry.watch.T_world_object[2, 3] < rest_m - 0.004, "another offset was drawn"
     while carry.phase != "unload" and not carry.done:
         carry.step()

@@ -19,6 +19,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import inverse
 from minidual.skills.carry_watch import CarryWatch
 from minidual.skills.impedance_carry import ImpedanceCarry
+from tests.support.carries import impedance_carry
 from tests.support.carry_trials import sample_trial
 from tests.support.panda import HOME
 
@@ -55,7 +56,7 @@ def test_a_first_force_that_is_no_number_is_forgotten(world: World) -> None:
     senses.sense = lambda: (  # type: ignore[method-assign]
         listen()._replace(hand_forces=np.full((2, 3), np.nan)) if next(blind, False) else listen()
     )
-    watch = CarryWatch(world, Kinematics(), CarryConfig(), senses)
+    watch = CarryWatch(world, Kinematics(), world.scene, CarryConfig(), senses)
     for _ in range(20):
         world.step()
         watch.sensing.sense()
@@ -82,7 +83,7 @@ def test_a_whole_carry_never_reads_the_truth_and_its_estimate_beats_the_raw_read
     senses.sense = sense  # type: ignore[method-assign]
     nowhere = replace(trial, start=(9.0, 9.0, 9.0))  # not even where the trial began
     blind: Any = Blind(world)
-    carry = ImpedanceCarry(blind, Kinematics(), CarryConfig(), nowhere, sensors=senses)
+    carry = impedance_carry(blind, Kinematics(), CarryConfig(), nowhere, sensors=senses)
     fused = []
     raw = []
     speeds = []
@@ -113,7 +114,7 @@ def test_noise_belongs_to_the_trial_and_the_seed(world: World, scene: SceneConfi
     def where(seed: int, index: int) -> bytes:
         trial = sample_trial(scene, 11, "sensing-test", 0)
         world.reset(poses=trial.start)
-        carry = ImpedanceCarry(
+        carry = impedance_carry(
             world,
             Kinematics(),
             CarryConfig(),

@@ -5,12 +5,13 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from minidual import emergency
 from minidual.config.learning import TeleopConfig
+from minidual.config.scene import SceneConfig
 from minidual.control.commands import HOLD, ArbiterState, JointCommand, Refusal
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
@@ -21,10 +22,10 @@ from minidual.demos.seat import Seat, for_a_person
 from minidual.demos.signals import Driver, Signals, recorded_signals
 from minidual.demos.station import NO_STATION, Button
 from minidual.errors import MinidualError
+from minidual.plant.protocol import Plant, openings_of
 from minidual.plant.render import Image, StampedImage
-from minidual.plant.world import World
 from minidual.robot.pair import Array
-from minidual.tasks.judge import Judge, Outcome, begin
+from minidual.tasks.judge import Judge, Outcome, Resettable, begin
 from minidual.tasks.task import Task, Trial
 
 SOURCE = "teleop"
@@ -35,6 +36,23 @@ _ENDS: dict[Button, EndedBy] = {
     Button.DISCARD: "discard",
     Button.NEXT: "next",
 }
+
+
+class SimulatedPlant(Plant, Resettable, Protocol):
+    """A plant whose truth is known, and that a session puts at each start.
+
+    Attributes:
+        scene: As configured.
+        observer: Called while time stands still, or None.
+    """
+
+    scene: SceneConfig
+    observer: Callable[[Any], None] | None
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        ...
 
 
 class HandoverError(MinidualError):
@@ -157,7 +175,7 @@ class TeleopSession:
 
     def __init__(
         self,
-        stack: ControlStack[World],
+        stack: ControlStack[SimulatedPlant],
         config: TeleopConfig,
         pictures: Callable[[], dict[str, StampedImage]] = dict,
     ) -> None:
@@ -197,7 +215,7 @@ class TeleopSession:
         self._corrections = None
         if self.policy is not None:
             self._corrections = Corrections(self.policy, mirror)
-            self._corrections.begin(self.world.q, self.world.gripper)
+            self._corrections.begin(self.world.q, openings_of(self.world))
         button = seat.begin()
         if button is not None:
             return self._not_begun(judge, _ENDS[button])
@@ -290,7 +308,7 @@ class TeleopSession:
         stamp_s = world.stamp_s
         q = world.q
         v = world.v
-        gripper = world.gripper
+        gripper = openings_of(world)
         effort = world.tau.copy()
         pictures = self._pictures()
         started = time.perf_counter()

@@ -9,8 +9,8 @@ from minidual.config.learning import TeleopConfig
 from minidual.control.commands import ArbiterState
 from minidual.control.reflexes import REFLEXES
 from minidual.control.stack import ControlStack
+from minidual.plant.protocol import Plant
 from minidual.plant.render import StampedImage
-from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
@@ -46,7 +46,7 @@ class Signals:
         names: Of `schema.SIGNALS`.
     """
 
-    def __init__(self, stack: ControlStack[World], names: Sequence[str]) -> None:
+    def __init__(self, stack: ControlStack[Plant], names: Sequence[str]) -> None:
         self._stack = stack
         self._names = tuple(names)
         self._kinematics = Kinematics(stack.plant.robot)

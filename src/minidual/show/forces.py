@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from minidual.plant.world import World
+from minidual.plant.simulation import Simulation
 from minidual.show.view.overlay import ARM_RGB, Arrow
 
 _OFFSET_M = np.array([0.05, 0.0, 0.0])
 """Of force arrows from the hands, where the object would hide them."""
 
 
-def force_arrows(world: World) -> tuple[Arrow, ...]:
+def force_arrows(world: Simulation) -> tuple[Arrow, ...]:
     """Return the force of each hand on all objects, at the hand."""
     forces = np.sum([world.truth(name).forces() for name in world.objects], axis=0)
     return tuple(

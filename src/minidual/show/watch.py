@@ -16,7 +16,7 @@ from minidual.control.stack import ControlStack
 from minidual.demos.recording import Observe
 from minidual.demos.rig import Rig
 from minidual.plant.model import build_model
-from minidual.plant.world import World
+from minidual.plant.simulation import Simulation
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, Array, Robot
 from minidual.show.forces import force_arrows
@@ -41,7 +41,7 @@ def visual_model(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> mujoco.MjMode
     return build_model(scene, robot, visuals=True)
 
 
-def overlay(world: World, words: Overlay) -> Overlay:
+def overlay(world: Simulation, words: Overlay) -> Overlay:
     """Return `words` with the world's time and forces."""
     objects = [world.truth(name) for name in world.objects]
     pinch_left, pinch_right = np.max([each.pinch() for each in objects], axis=0)
@@ -79,14 +79,14 @@ class Brake:
 class Watcher:
     """Step observer that shows one world; `narrate` is called once per frame."""
 
-    def __init__(self, view: View, world: World, narrate: Narrator) -> None:
+    def __init__(self, view: View, world: Simulation, narrate: Narrator) -> None:
         view.open(visual_model(world.scene, world.robot))  # type: ignore[arg-type]  # frozen, so hashable
         self._view = view
         self._narrate = narrate
         self._brake = Brake(view.speed_max) if view.speed_max > 0.0 else None
         self._braked_s = float("-inf")
 
-    def __call__(self, world: World) -> None:
+    def __call__(self, world: Simulation) -> None:
         """Show the world if a frame is due."""
         if self._brake is not None and abs(world.time - self._braked_s) >= _BRAKE_EVERY_S:
             self._braked_s = world.time
@@ -96,7 +96,7 @@ class Watcher:
 
 
 @contextmanager
-def watched(view: View | None, world: World, narrate: Narrator) -> Iterator[None]:
+def watched(view: View | None, world: Simulation, narrate: Narrator) -> Iterator[None]:
     """Show `world` inside the block; do nothing without a view."""
     if view is None:
         yield
@@ -125,7 +125,7 @@ def trial_hook(view: View, bench: Bench, title: str) -> StepHook:
 
     watcher = Watcher(view, bench.world, words)
 
-    def hook(world: World, method: Method) -> None:
+    def hook(world: Simulation, method: Method) -> None:
         nonlocal narrate
         if narrate is None:  # the method exists from the first step on
             narrate = _narrator(bench, method, title)

@@ -53,7 +53,11 @@ def bridge(context: ToolContext) -> ToolResult:
         supervisor=supervisor,
     )
     eyes = CameraProcess(config.scene, world.robot, cameras, domain) if cameras else None
-    show = (lambda qpos: None) if eyes is None else eyes.offer
+
+    def show() -> None:
+        if eyes is not None:
+            eyes.offer(world.data.qpos)
+
     running = Bridge(topics, stack, show, context.progress.note)
     context.progress.note(f"on DDS domain {domain}: Ctrl-C ends it")
     with interruptions() as stop:

@@ -175,6 +175,13 @@ def replay() -> ToolFunction:
 
 
 @Deferred
+def lead() -> ToolFunction:
+    from minidual.stages.lead import lead
+
+    return lead
+
+
+@Deferred
 def modes() -> ToolFunction:
     from minidual.stages.modes import modes
 

@@ -11,7 +11,7 @@ from minidual.demos.recording import Observe
 from minidual.demos.rig import Rig
 from minidual.demos.station import Station
 from minidual.demos.terminal_station import KeyStation, LineStation, Stations
-from minidual.gate.stage import StageContext
+from minidual.gate.stage import Context, StageContext
 from minidual.show.watch import watch_recording
 
 
@@ -25,12 +25,12 @@ def leading(context: StageContext) -> Generator[Observe | None]:
     with ExitStack() as stack:
         view = context.view
         if view is None and leader.features.picture:
-            view = stack.enter_context(closing(_view(context)))
+            view = stack.enter_context(closing(web_view(context)))
         watch = watch_recording(view)
         if not leader.features.realtime:
             yield watch
             return
-        station = _station(context, leader, view, stack)
+        station = station_of(context, leader, view, stack)
 
         def observe(rig: Rig, index: int) -> AbstractContextManager[object]:
             rig.station = station
@@ -39,13 +39,14 @@ def leading(context: StageContext) -> Generator[Observe | None]:
         yield observe
 
 
-def _view(context: StageContext) -> Any:
+def web_view(context: Context) -> Any:
+    """Return the live view in a browser."""
     from minidual.show.view import make_view  # viser takes a second to load
 
     return make_view("web", context.config.view, say=context.progress.note)
 
 
-def _station(context: StageContext, leader: type[Leader], view: Any, stack: ExitStack) -> Station:
+def station_of(context: Context, leader: type[Leader], view: Any, stack: ExitStack) -> Station:
     """Return the station of a person: lines, a page where there is one, and keys of a terminal."""
     stations: list[Station] = [LineStation(context.progress.note)]
     if view is not None:

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from minidual.control.stack import ControlStack
-from minidual.control.supervisor import dumping
 from minidual.demos.leader import follows_swiftly
 from minidual.durable import expanded, write_csv, write_text
 from minidual.errors import ExitCode, GateClosedError, UsageError
@@ -16,21 +15,20 @@ from minidual.gate.canonical import dumps
 from minidual.gate.progress import ProgressTask
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.motion.api import Planner
-from minidual.plant.recorder import Recorder
-from minidual.plant.render import Camera, StampedImage, write_video
-from minidual.plant.world import World
+from minidual.plant.render import write_video
 from minidual.policies.pilot import load_runtime
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import robot_from
 from minidual.show.figures.film import FILM_FPS
-from minidual.show.figures.film_camera import FilmCamera
 from minidual.show.figures.film_model import painted
+from minidual.show.figures.modes import draw_modes
 from minidual.show.watch import StackNarrator, watched
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.supervised import trial_supervisor
 from minidual.stages.config_checks import check_carry
-from minidual.stages.modes_film import FILM_SIZE, filmed
+from minidual.stages.modes_film import Shot, frames_of, shots_of
+from minidual.stages.modes_place import ModesPlace, modes_place
 from minidual.tasks.catalogue import make_task, task_config
+from minidual.tasks.task import Trial
 from minidual.trials import modes_turns
 from minidual.trials.modes import DEFAULT_MODES, ModesDemo, parse_modes
 from minidual.trials.modes_turns import Turn
@@ -50,44 +48,62 @@ def modes(context: ToolContext) -> ToolResult:
     typed_modes = context.options.get("modes")
     names = DEFAULT_MODES if typed_modes is None else parse_modes(typed_modes)
     checkpoint = find_checkpoint(context) if "policy" in names else None
-    world = World(config.scene, robot_from(config.robot), visuals=True)
-    with Camera.recorded(world.model, config.scene.camera) as eyes:
-        demo = _demo(context, world, eyes, names, checkpoint)
-        _film(context, demo, world, len(names))
+    task = make_task(config)
+    trial = task.trial(context.seed, "modes", 0)
+    with modes_place(context, trial, names) as place:
+        for note in place.notes:
+            context.progress.note(note)
+        demo = _demo(context, place, names, checkpoint, trial)
+        shots = _run(context, demo, place, len(names))
+    picture = _drawn(context, demo, place, shots)
     passed = demo.ended is None and not demo.exceeded(config.arbiter)
     record = {
         "modes": list(names),
+        "plant": config.plant.address,
+        "place": place.kind,
         "checkpoint": str(checkpoint) if checkpoint else None,
         "seed": context.seed,
         **demo.record(config.arbiter),
     }
     write_csv(context.output / "modes.csv", demo.rows)
     write_text(context.output / "modes.json", dumps(record))
-    notes = _notes(demo, context)
+    notes = [*place.notes, *_notes(demo, context)]
     if demo.ended is not None:
         notes.append(f"ENDED TOO EARLY: {demo.ended}")
     if passed:
         notes.append("every step at every switch within its bound")
-    notes.append(f"log, film: {context.folder}")
-    lines = [str(context.folder / name) for name in ("modes.json", "modes.mp4")]
+    notes.append(f"log, {'film' if place.world else 'signals'}: {context.folder}")
+    lines = [str(context.folder / name) for name in ("modes.json", picture)]
     code = ExitCode.PASS if passed else ExitCode.ACCEPTANCE_FAILED
     return ToolResult(lines, notes, record, code)
 
 
-def _film(context: ToolContext, demo: ModesDemo, world: World, modes_n: int) -> None:
-    """Run the demonstration and write modes.mp4."""
+def _run(context: ToolContext, demo: ModesDemo, place: ModesPlace, modes_n: int) -> list[Shot]:
+    """Run the demonstration; return what a film shows of it, nothing without a world."""
 
     def phase() -> tuple[str, str | None]:
         return "" if demo.turn is None else demo.turn.caption, None
 
-    narrate = StackNarrator(demo.stack, Kinematics(world.robot), "modes", phase)
-    with (
-        FilmCamera(painted(world.scene, world.robot, world.model), FILM_SIZE) as camera,
-        watched(context.view, world, narrate),
-        context.progress.task("modes", modes_n) as bar,
-    ):
-        frames = filmed(_counted(demo, bar), demo.stack, camera)
-        write_video(context.output / "modes.mp4", frames, fps=FILM_FPS)
+    with context.progress.task("modes", modes_n) as bar:
+        steps = _counted(demo, bar)
+        if place.world is None:
+            for _ in steps:
+                pass
+            return []
+        narrate = StackNarrator(demo.stack, Kinematics(place.plant.robot), "modes", phase)
+        with watched(context.view, place.world, narrate):
+            return shots_of(steps, demo.stack, place.world)
+
+
+def _drawn(context: ToolContext, demo: ModesDemo, place: ModesPlace, shots: list[Shot]) -> str:
+    """Write the film, or the signals where no world is seen; return the file's name."""
+    world = place.world
+    if world is None:
+        draw_modes(demo.rows, context.output / "modes.svg")
+        return "modes.svg"
+    model = painted(world.scene, world.robot, world.model)
+    write_video(context.output / "modes.mp4", frames_of(shots, model), fps=FILM_FPS)
+    return "modes.mp4"
 
 
 def find_checkpoint(context: ToolContext) -> Path:
@@ -114,48 +130,50 @@ def find_checkpoint(context: ToolContext) -> Path:
 
 def _demo(
     context: ToolContext,
-    world: World,
-    eyes: Camera,
+    place: ModesPlace,
     names: tuple[str, ...],
     checkpoint: Path | None,
+    trial: Trial,
 ) -> ModesDemo:
-    """Return the demonstration of the named modes in turn, from the goal of a trial."""
+    """Return the demonstration of the named modes in turn."""
     config = context.config
-    seed = context.seed
-    robot = world.robot
-    task = make_task(config)
-    trial = task.trial(seed, "modes", 0)
-    world.reset(poses=trial.goal)  # as the last carry left it
-    recorder = Recorder(world, window_s=1.0, seed=seed, folder=context.run_folder / "dumps")
-    world.recorder = recorder
+    plant = place.plant
+    robot = plant.robot
     rate_hz = config.teleop.rate_hz
+    kinematics = Kinematics(robot)
     stack = ControlStack(
-        world,
-        Kinematics(robot),
+        plant,
+        kinematics,
         config.arbiter,
         rate_hz=rate_hz,
-        supervisor=trial_supervisor(config.supervisor, world.dt, robot, dumping(recorder)),
+        supervisor=trial_supervisor(config.supervisor, plant.dt, robot, place.on_reflex),
     )
     if follows_swiftly(config.teleop):  # as the policy's demonstrations were led
         stack.anticipate(rate_hz)
     planner = Planner(config=config.plan.planner, robot=robot)
     operator = ScriptedOperator(config.scene, config.teleop.operator, kinematics=Kinematics(robot))
-
-    def picture(name: str) -> StampedImage:
-        return eyes.stamped(world.data, name)
-
     turns: list[Turn] = []
     for number, mode in enumerate(names, start=1):
         last = number == len(names)
         if mode == "moveit":
             goes_home = last and number > 1
             share = 1.0 if last else _INTERRUPT_SHARE
-            turns.append(modes_turns.moveit(stack, planner, seed, home=goes_home, share=share))
+            turns.append(
+                modes_turns.moveit(
+                    stack, planner, context.seed, place.seen, home=goes_home, share=share
+                ),
+            )
         elif mode == "teleop":
-            turns.append(modes_turns.teleop(stack, operator, trial, seed, rate_hz))
-        elif checkpoint is not None:
+            seed = context.seed
+            turns.append(modes_turns.teleop(stack, operator, trial, seed, rate_hz, place.seen))
+        elif checkpoint is not None and place.world is not None and place.senses is not None:
             runtime = load_runtime(checkpoint, config.deploy, robot)
-            turns.append(modes_turns.policy(stack, runtime, picture, task, trial))
+            picture = place.senses.picture
+            task = make_task(config)
+            turns.append(
+                modes_turns.policy(stack, runtime, picture, task, trial, place.world),
+            )
+    stack.reset()  # on a plant whose time goes on, it did while all this was made
     return ModesDemo(stack, turns)
 
 

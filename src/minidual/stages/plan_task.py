@@ -7,6 +7,7 @@ from minidual.config.root import replaced
 from minidual.durable import disk_errors
 from minidual.errors import ExitCode
 from minidual.gate.stage import ToolContext, ToolResult
+from minidual.plant.simulation import Simulation
 from minidual.plant.world import World
 from minidual.robot.pair import robot_from
 from minidual.show.figures.film import FILM_FPS, Postures, film_postures
@@ -30,7 +31,7 @@ def plan_task(context: ToolContext) -> ToolResult:
     postures = Postures(1.0 / FILM_FPS)
     show = None if context.view is None else trial_hook(context.view, bench, f"plan, task {name}")
 
-    def on_step(world: World, method: Method) -> None:
+    def on_step(world: Simulation, method: Method) -> None:
         postures(world)
         if show is not None:
             show(world, method)

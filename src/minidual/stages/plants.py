@@ -3,17 +3,14 @@
 from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.plant.connect import SIMULATOR, parse_address
-from minidual.plant.lifecycle import CommandKind
 
-STAGE_PLANTS: dict[str, tuple[CommandKind, ...]] = {
-    "env-check": (CommandKind.TORQUE, CommandKind.POSITION),
-    "migrate": (CommandKind.TORQUE, CommandKind.POSITION),
-}
-"""Stages and tools that drive any plant, with the kinds of command that they send."""
+TAKE_ANY_PLANT = ("env-check", "migrate", "modes", "lead", "try")
+"""Stages and tools that drive any plant; `try` asks its methods which commands they give."""
 
 _WHY_NOT = {
-    "carry": "controller C gives motor torques, and its judge needs the object's true pose",
-    "teleop-record": "its cameras and the judge of each episode are the simulator's",
+    "carry": "controller C gives motor torques, and its recordings are the simulator's",
+    "teleop-record": "its cameras and the judge of each episode are the simulator's; "
+    "`lead` lets a leader drive any plant",
     "deploy": "its judge needs the object's true pose",
     "benchmark": "its judge needs the object's true pose, and conditions change the simulation",
 }
@@ -28,7 +25,7 @@ def simulator_only(config: Config, stage: str) -> None:
     """Raise UsageError if another plant than the simulator is configured."""
     if config.plant.address == SIMULATOR:
         return
-    able = ", ".join(STAGE_PLANTS)
+    able = ", ".join(TAKE_ANY_PLANT)
     raise UsageError(
         f"{stage} runs on the simulator only, not on plant '{config.plant.address}': "
         f"{_WHY_NOT[stage]}",

@@ -284,7 +284,14 @@ TOOLS = (
         functions.modes,
         watchable=True,
         moves=True,
-        settings={"speed": "arbiter.speed_override"},
+        settings={"speed": "arbiter.speed_override", "plant": "plant.address"},
+    ),
+    ToolEntry(
+        "lead",
+        functions.lead,
+        watchable=True,
+        moves=True,
+        settings={"leader": "teleop.leader", "task": "task", "plant": "plant.address"},
     ),
     ToolEntry("bridge", functions.bridge, moves=True, settings={"task": "task"}),
 )

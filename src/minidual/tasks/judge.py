@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
 
-from minidual.plant.world import World
 from minidual.tasks.task import Task, Trial, placement
-from minidual.tasks.truth import Truth
+from minidual.tasks.truth import GroundTruth, Truth
+
+if TYPE_CHECKING:  # the judge of a batch imports no MuJoCo
+    from minidual.plant.bodies import ObjectPose
 
 REST_S = 0.1
 """Conditions must hold this long: an object let go in the air rests for an instant too."""
@@ -50,20 +53,40 @@ class Outcome:
         return self.measured.get(name, math.nan)
 
 
+class Resettable(GroundTruth, Protocol):
+    """A simulated world that can be put at a trial's start."""
+
+    def reset(self, *, poses: Mapping[str, ObjectPose]) -> None:
+        """Put the arms at home, hands open, and objects at poses."""
+        ...
+
+
 def begin(
-    world: World,
+    world: Resettable,
     task: Task,
     trial: Trial,
     demanding: Collection[str] = (),
-    *,
-    reset: bool = True,
 ) -> Judge:
-    """Mark a trial's goal, reset the world to its start and return its judge."""
-    world.mark_goal(*placement(trial.goal[task.carried]))
-    if reset:
-        world.reset(poses=trial.start)
+    """Mark a trial's goal, reset a simulated world to its start and return its judge."""
+    world.mark_goal(*placement(trial.goal[task.carried]))  # what draws the world sees the mark
+    world.reset(poses=trial.start)
+    return _judge(world, task, trial, demanding)
+
+
+def begin_here(
+    ground: GroundTruth,
+    task: Task,
+    trial: Trial,
+    demanding: Collection[str] = (),
+) -> Judge:
+    """Mark a trial's goal and return its judge; arms and objects are where they are."""
+    ground.mark_goal(*placement(trial.goal[task.carried]))
+    return _judge(ground, task, trial, demanding)
+
+
+def _judge(ground: GroundTruth, task: Task, trial: Trial, demanding: Collection[str]) -> Judge:
     judge = Judge(task, trial, demanding)
-    judge.truth.began_s = world.time
+    judge.truth.began_s = ground.time
     return judge
 
 
@@ -122,10 +145,10 @@ class Judge:
         reached_n = len(self._stages) - len(self._stages_ahead)
         return tuple(stage.name for stage in self._stages[:reached_n])
 
-    def observe(self, world: World) -> None:
+    def observe(self, ground: GroundTruth) -> None:
         """Evaluate the state."""
         truth = self.truth
-        truth.refresh(world)
+        truth.refresh(ground)
         now_s = truth.time
         for observe, name, prefix in self._observing:
             detail = observe(truth)
@@ -154,10 +177,10 @@ class Judge:
         for condition in self._conditions:
             condition.disturbed()
 
-    def outcome(self, world: World) -> Outcome:
+    def outcome(self, ground: GroundTruth) -> Outcome:
         """Return the verdict."""
         truth = self.truth
-        truth.refresh(world)
+        truth.refresh(ground)
         truth.duration_s = truth.time if self._done_at_s is None else self._done_at_s
         failures = dict(self.failures)
         measured = {"progress": len(self.stages) / max(1, len(self._stages))}

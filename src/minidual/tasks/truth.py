@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -13,12 +13,67 @@ from minidual.plant.bodies import HAND_FORCES, INTERNAL_FORCE, PINCHES, YAW, lie
 from minidual.robot.pair import Array
 
 if TYPE_CHECKING:  # reading a configuration must not import MuJoCo
-    from minidual.plant.world import World
+    from minidual.config.scene import PartConfig
+    from minidual.plant.bodies import Vector
 
 AIRBORNE_M = 0.003
 """An object is off the table above this clearance."""
 TOUCH_N = 0.1
 """Smaller forces do not count as touch."""
+
+
+class TrueObject(Protocol):
+    """One object of a ground truth; see `plant.bodies.NamedObject`."""
+
+    @property
+    def frame(self) -> tuple[Array, Array]:
+        """Orientation (3, 3) and position (3,) [m] in the world."""
+        ...
+
+    def look(self) -> Array:
+        """Return pose, hand forces and pinches (16,)."""
+        ...
+
+    def solids(self, parts: Sequence[PartConfig]) -> list[tuple[Vector, Vector]]:
+        """Return centre and half extents (3,) [m] of its parts, in its frame."""
+        ...
+
+    def pose(self) -> Array:
+        """Return the pose (4, 4)."""
+        ...
+
+    def twist(self) -> Array:
+        """Return the twist (6,)."""
+        ...
+
+
+class GroundTruth(Protocol):
+    """What is true of objects and contacts: a simulated world, for the judge only."""
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        ...
+
+    def truth(self, name: str | None = None) -> TrueObject:
+        """Return an object, None for the only one."""
+        ...
+
+    def on_table(self, name: str | None = None) -> bool:
+        """Return whether an object touches the table."""
+        ...
+
+    def at_an_arm(self, name: str | None = None) -> bool:
+        """Return whether an object touches an arm."""
+        ...
+
+    def touches(self, geom: str) -> bool:
+        """Return whether a geom has contacts."""
+        ...
+
+    def mark_goal(self, x_m: float, y_m: float, yaw_rad: float) -> None:
+        """Show the goal on the table."""
+        ...
 
 
 class ObjectTruth:
@@ -44,12 +99,12 @@ class ObjectTruth:
         self._upright = body.upright
         self.half_m: Sequence[float] = body.solids[0].half_m
         self.reach_m = 0.0
-        self._world: World | None = None
+        self._ground: GroundTruth | None = None
 
-    def refresh(self, world: World) -> None:
-        """Read the world."""
-        if world is not self._world:
-            self._attach(world)
+    def refresh(self, ground: GroundTruth) -> None:
+        """Read the ground truth."""
+        if ground is not self._ground:
+            self._attach(ground)
         reading = self._object.look()
         self.tilt_rad, self.clearance_m = lie(reading, self.solids, self._upright)
         self.airborne = self.clearance_m > AIRBORNE_M
@@ -62,10 +117,10 @@ class ObjectTruth:
         self.squeeze_n = numbers[INTERNAL_FORCE]
         self.yaw_rad = numbers[YAW]
 
-    def _attach(self, world: World) -> None:
-        """Find the object in a world, with its sizes there: a condition may have changed them."""
-        self._world = world
-        self._object = world.truth(self.name)
+    def _attach(self, ground: GroundTruth) -> None:
+        """Find the object, with its sizes there: a condition may have changed them."""
+        self._ground = ground
+        self._object = ground.truth(self.name)
         parts = self.body.solids
         rows: list[list[float]] = []
         for part, (position_m, half_m) in zip(parts, self._object.solids(parts), strict=True):
@@ -101,7 +156,7 @@ class ObjectTruth:
     @property
     def at_an_arm(self) -> bool:
         """Whether it has a contact with any part of an arm."""
-        return self._world is not None and self._world.at_an_arm(self.name)
+        return self._ground is not None and self._ground.at_an_arm(self.name)
 
     @property
     def hand_forces(self) -> tuple[list[float], list[float]]:
@@ -126,7 +181,7 @@ class ObjectTruth:
     @property
     def on_table(self) -> bool:
         """Whether it touches the table."""
-        return self._world is not None and self._world.on_table(self.name)
+        return self._ground is not None and self._ground.on_table(self.name)
 
 
 class Truth(dict[str, ObjectTruth]):
@@ -140,18 +195,18 @@ class Truth(dict[str, ObjectTruth]):
 
     def __init__(self, objects: Mapping[str, ObjectConfig]) -> None:
         super().__init__({name: ObjectTruth(name, body) for name, body in objects.items()})
-        self._world: World | None = None
+        self._ground: GroundTruth | None = None
         self.began_s = 0.0
         self.time = 0.0
         self.duration_s = 0.0
 
-    def refresh(self, world: World) -> None:
-        """Read the world."""
-        self._world = world
-        self.time = world.time - self.began_s
+    def refresh(self, ground: GroundTruth) -> None:
+        """Read the ground truth."""
+        self._ground = ground
+        self.time = ground.time - self.began_s
         for item in self.values():
-            item.refresh(world)
+            item.refresh(ground)
 
     def touches(self, geom: str) -> bool:
         """Return whether a geom has contacts."""
-        return self._world is not None and self._world.touches(geom)
+        return self._ground is not None and self._ground.touches(geom)

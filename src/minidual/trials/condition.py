@@ -20,7 +20,7 @@ from minidual.trials.methods import METHODS, SENSES
 if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
     import mujoco
 
-    from minidual.plant.world import World
+    from minidual.plant.simulation import Simulation
 
 
 class Disturbance(Protocol):
@@ -29,7 +29,7 @@ class Disturbance(Protocol):
     took_place: bool
     """Whether it has acted completely."""
 
-    def __call__(self, world: World) -> None:
+    def __call__(self, world: Simulation) -> None:
         """Act or wait."""
 
 

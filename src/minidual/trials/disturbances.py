@@ -11,7 +11,7 @@ from minidual.robot.pair import Array
 from minidual.tasks.task import Task
 
 if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
-    from minidual.plant.world import World
+    from minidual.plant.simulation import Simulation
 
 _RISEN_M = 0.05  # before a push
 _DELAY_S = (0.2, 1.2)  # from rise to push
@@ -44,7 +44,7 @@ class Push:
         share = np.clip(min(t_s, self.length_s - t_s) / self.ramp_s, 0.0, 1.0)
         return share * self._force
 
-    def __call__(self, world: World) -> None:
+    def __call__(self, world: Simulation) -> None:
         """Act or wait."""
         body = world.truth(self._name).body
         height_m = float(world.data.xpos[body, 2])
@@ -70,7 +70,7 @@ class Move:
         self._name = task.carried
         self.took_place = False
 
-    def __call__(self, world: World) -> None:
+    def __call__(self, world: Simulation) -> None:
         """Act or wait."""
         if not self.took_place and world.time >= _MOVED_AT_S:
             world.truth(self._name).qpos[:2] += self._shift

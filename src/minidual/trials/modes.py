@@ -12,14 +12,14 @@ from minidual.control.commands import SOURCES, ArbiterState
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.errors import DataError, UsageError, check_name
-from minidual.plant.world import World
+from minidual.plant.protocol import Plant
 from minidual.robot.pair import Array
 from minidual.trials.modes_turns import SwitchError, Turn
 
 DEFAULT_MODES: tuple[str, ...] = ("moveit", "teleop", "policy", "moveit")
 WINDOW_S = 0.5
 """Measurement of a switch continues this long after the first command."""
-_LOG_EVERY = 4
+_LOG_EVERY_S = 0.004
 _DRIVEN = (ArbiterState.ALIGNING, ArbiterState.ACTIVE)
 
 
@@ -97,7 +97,7 @@ class _Setpoints:
     asked_torque: Array
 
     @classmethod
-    def of(cls, stack: ControlStack[World]) -> "_Setpoints":
+    def of(cls, stack: ControlStack[Plant]) -> "_Setpoints":
         return cls(
             target=np.array(stack.output.q_target),
             reference=np.array(stack.manager.reference),
@@ -121,11 +121,11 @@ class ModesDemo:
     Attributes:
         turn: None before the first.
         outcomes: Of the completed turns.
-        rows: Log of every fourth control step.
+        rows: Log of every 4 ms, or of every control step.
         ended: Why it ended early, or None.
     """
 
-    def __init__(self, stack: ControlStack[World], turns: Sequence[Turn]) -> None:
+    def __init__(self, stack: ControlStack[Plant], turns: Sequence[Turn]) -> None:
         self.stack = stack
         self._turns = tuple(turns)
         self.turn: Turn | None = None
@@ -135,6 +135,7 @@ class ModesDemo:
         self.ended: str | None = None
         self._last: _Setpoints | None = None
         self._steps = 0
+        self._log_every = max(1, round(_LOG_EVERY_S / stack.plant.dt))
 
     def steps(self) -> Iterator[Turn]:
         """Run; yield the current turn after every control step.
@@ -161,20 +162,20 @@ class ModesDemo:
 
     def _drive(self, turn: Turn) -> Iterator[Turn]:
         stack = self.stack
-        world = stack.plant
+        plant = stack.plant
         self.turn = turn
         switch = Switch(
             turn.mode,
-            world.time,
-            speed_at_request_rad_s=float(np.abs(world.v).max()),
-            torque_step_max_nm=world.robot.tau_rate_max * world.dt,
+            plant.time,
+            speed_at_request_rad_s=float(np.abs(plant.v).max()),
+            torque_step_max_nm=plant.robot.tau_rate_max * plant.dt,
         )
         self.switches.append(switch)
         stack.request(turn.mode, turn.controllers)
         while stack.source != turn.mode:
             self._step()
             yield turn
-        switch.confirmed_s = world.time
+        switch.confirmed_s = plant.time
         switch.controllers = stack.manager.active
         for _ in self._driven(turn):
             self._step()
@@ -221,7 +222,7 @@ class ModesDemo:
         steps = setpoints.steps_from(setpoints if self._last is None else self._last)
         self._last = setpoints
         self._measure(switch, steps)
-        if self._steps % _LOG_EVERY == 0:
+        if self._steps % self._log_every == 0:
             self._log(switch, steps)
         self._steps += 1
         if stack.state == ArbiterState.STOPPED:
@@ -239,6 +240,7 @@ class ModesDemo:
                 "active_source": stack.output.active_source or "",
                 "state": str(stack.state),
                 "controllers": " ".join(stack.manager.active),
+                "speed_max_rad_s": f"{np.abs(stack.plant.v).max():.6g}",
                 "reference_step_max_rad": f"{steps.reference.max():.6g}",
                 "torque_step_max_nm": f"{steps.applied_torque.max():.6g}",
                 "torque_step_asked_max_nm": f"{steps.asked_torque.max():.6g}",

@@ -81,4 +81,4 @@ def driven(inputs: MethodInputs) -> Factory:
         raise UsageError(
             f"the policy in {inputs.checkpoint} is trained on '{trained}', not on '{task}'",
         )
-    return LESSONS[task].driver(inputs.config, inputs.seed, network)
+    return LESSONS[task].driver(inputs, network)

@@ -17,6 +17,7 @@ from minidual.errors import MinidualError
 from minidual.plant.model import build_model
 from minidual.plant.recorder import Recorder
 from minidual.plant.recording import write_recording
+from minidual.plant.simulation import Simulation
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import Array, Robot, robot_from
@@ -50,7 +51,7 @@ _BROKEN: dict[type[MinidualError], str] = {
 # Phases of a method that has stopped: they do not tell where it failed.
 _ENDED_PHASES = ("stop", "done")
 
-StepHook = Callable[[World, Method], None]
+StepHook = Callable[[Simulation, Method], None]
 """Called after each step; read-only."""
 Watch = Callable[["Bench", str], StepHook]
 """Returns a trial's step hook, from bench and title."""
@@ -58,7 +59,7 @@ Watch = Callable[["Bench", str], StepHook]
 type Judged = tuple[TrialMetrics, TrialLog]
 
 
-def _watch_nothing(world: World, method: Method) -> None:
+def _watch_nothing(world: Simulation, method: Method) -> None:
     pass
 
 
@@ -69,6 +70,7 @@ class Bench:
         ran: The method of the latest trial.
         plant: What the method drives.
         world: What the judge sees.
+        inputs: Of the method, with its senses there.
 
     Args:
         method: Row of METHODS.
@@ -109,12 +111,12 @@ class Bench:
         self.world = site.world
         self.kinematics = Kinematics(robot)
         self.hands = Hands(self.kinematics)
-        there = inputs._replace(
+        self.inputs = inputs._replace(
             config=self.task.config,
             senses=site.senses,
             dt_s=site.plant.dt,
         )
-        self.factory = self.spec.factory(there)
+        self.factory = self.spec.factory(self.inputs)
 
     def run(self, trial: Trial, *, on_step: StepHook = _watch_nothing) -> Judged:
         """Run and judge one trial.
@@ -318,7 +320,7 @@ class _MotorStrain:
 class _CompleteState:
     """The latest state that a step completed; a world that has diverged is reset."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: Simulation) -> None:
         self._model = world.model
         self._data = world.data
         self.remember()

@@ -15,7 +15,7 @@ from minidual.plant.senses import Senses
 from minidual.plant.sensing import SimulatedSenses
 from minidual.plant.world import World
 from minidual.skills.plant_home import bring_home
-from minidual.tasks.judge import Judge, begin
+from minidual.tasks.judge import Judge, begin, begin_here
 from minidual.tasks.task import Task, Trial
 from minidual.trials.methods import METHODS
 
@@ -93,7 +93,7 @@ class PlantSite:
         """See `Site`."""
         bring_home(self._link, self._config, self._planner, self._seed)
         self._twin.place(trial.start)
-        return begin(self.world, task, trial, demands, reset=False)
+        return begin_here(self.world, task, trial, demands)
 
     def start(self, judge: Judge) -> None:
         """See `Site`."""

@@ -14,7 +14,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from minidual.config.root import Config, changed
 from minidual.errors import MinidualError
-from minidual.plant.world import World
+from minidual.plant.simulation import Simulation
 from minidual.robot.pair import Array
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.tasks.catalogue import make_task
@@ -268,12 +268,12 @@ def carry_once(inputs: MethodInputs, trial: Trial) -> TrialMetrics:
     errors: list[Array] = []
     ticks = count(1)
 
-    def watch(world: World, method: Method) -> None:
+    def watch(world: Simulation, method: Method) -> None:
         if next(ticks) % every != 0 or method.phase != "carry":
             return
         desired = method.stack.impedance.desired if isinstance(method, ImpedanceCarry) else None
         if desired is not None:
-            position = world.object_pose(bench.task.carried)[:3, 3]
+            position = world.truth(bench.task.carried).pose()[:3, 3]
             errors.append(position - desired.T_world_object[:3, 3])
 
     result, _ = bench.run(trial, on_step=watch)

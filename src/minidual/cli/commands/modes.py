@@ -23,16 +23,25 @@ def modes(
         typer.Option(help="Folder of the policy (default: the run's train-act)."),
     ] = None,
     speed: Annotated[float | None, typer.Option(help="Share of full speed, 0.1 to 1.")] = None,
+    plant: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="sim, sim-position, franka://HOST,HOST or MODULE:FACTORY (default: sim).",
+        ),
+    ] = None,
     view_options: ViewOptions,
     session: Session,
 ) -> ExitCode:
     """Planner, leader and policy hand the arms to one another in one process.
 
-    It writes a film, a log and the bounds of every switch.
+    It writes a film, a log and the bounds of every switch. On a plant without cameras it draws
+    signals in place of the film.
 
     Examples:
         minidual modes
         minidual modes --modes moveit,teleop,moveit --view web
+        minidual modes --modes moveit,teleop,moveit --plant franka://127.0.0.1,127.0.0.2
     """
-    options = {"modes": modes, "checkpoint": checkpoint, "speed": speed}
+    options = {"modes": modes, "checkpoint": checkpoint, "speed": speed, "plant": plant}
     return run_tool(session, session.tools["modes"], options, view_options)

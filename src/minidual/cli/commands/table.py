@@ -25,6 +25,7 @@ from minidual.cli.commands.doctor import doctor
 from minidual.cli.commands.env_check import env_check
 from minidual.cli.commands.explain import explain
 from minidual.cli.commands.export_ros2 import export_ros2
+from minidual.cli.commands.lead import lead
 from minidual.cli.commands.leader_calibrate import leader_calibrate
 from minidual.cli.commands.migrate import migrate
 from minidual.cli.commands.modes import modes
@@ -86,6 +87,7 @@ TOOL_COMMANDS: dict[str, Command] = {
     "doctor": doctor,
     "view": view,
     "replay": replay,
+    "lead": lead,
     "modes": modes,
     "bridge": bridge,
 }

@@ -72,8 +72,13 @@ class Lesson(Protocol):
         """Return successful demonstrations, or None if there is nobody who shows them."""
         ...
 
-    def driver(self, config: Config, seed: int, network: RlNetwork) -> Callable[..., Any]:
-        """Return the factory of trials that the network drives, as `MethodSpec.build` does."""
+    def driver(self, inputs: Any, network: RlNetwork) -> Callable[..., Any]:
+        """Return the factory of trials that the network drives, as `MethodSpec.build` does.
+
+        Args:
+            inputs: `trials.methods.MethodInputs`.
+            network: The policy.
+        """
         ...
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
-from minidual.plant.world import World
+from minidual.plant.protocol import Plant, openings_of
 from minidual.robot.pair import Array
 from minidual.ros2.bags.episode_topics import (
     GRIPPER_COMMANDS,
@@ -52,11 +52,11 @@ class BridgeCounts:
 
 
 class Bridge:
-    """Steps a world in wall time and publishes it.
+    """Steps a plant in wall time and publishes it.
 
     Args:
         topics: Writers and readers.
-        stack: Of the world, whose arbiter ticks at RATE_HZ.
+        stack: Of the plant, whose arbiter ticks at RATE_HZ.
         show: Called after each tick.
         say: Shows a line to people.
     """
@@ -64,20 +64,20 @@ class Bridge:
     def __init__(
         self,
         topics: Topics,
-        stack: ControlStack[World],
-        show: Show = lambda qpos: None,
+        stack: ControlStack[Plant],
+        show: Callable[[], None] = lambda: None,
         say: Callable[[str], None] = lambda text: None,
     ) -> None:
         self._topics = topics
         self._stack = stack
-        self._world = stack.plant
+        self._plant = stack.plant
         self._robot = stack.plant.robot
         self._show = show
         self._say = say
         self._mode = ""
         self._refused_n = stack.refused_n
         self._mode_due_s = 0.0
-        self._steps = round(1.0 / (RATE_HZ * self._world.dt))
+        self._steps = round(1.0 / (RATE_HZ * self._plant.dt))
         self.counts = BridgeCounts(0, 0, 0.0, [])
         m = topics.messages
         topics.advertise(JOINT_STATES, m.JointState)
@@ -116,7 +116,7 @@ class Bridge:
         self._complain(self._take_complaints())
         self._publish_states()
         self._publish_mode()
-        self._show(self._world.data.qpos)
+        self._show()
         self.counts.ticks_n += 1
 
     def _take_complaints(self) -> list[str]:
@@ -136,7 +136,7 @@ class Bridge:
     def _publish_states(self) -> None:
         topics = self._topics
         measurement = self._stack.measurement
-        fingers = np.repeat(self._world.fingers, self._fingers_per_hand)
+        fingers = np.repeat(self._plant.fingers, self._fingers_per_hand)
         zeros = np.zeros(len(fingers))
         topics.publish(
             JOINT_STATES,
@@ -145,14 +145,14 @@ class Bridge:
                 self._joint_names,
                 [*measurement.q.tolist(), *fingers.tolist()],
                 [*measurement.v.tolist(), *zeros.tolist()],
-                [*self._world.tau.tolist(), *zeros.tolist()],
+                [*self._plant.tau.tolist(), *zeros.tolist()],
             ),
         )
         output = self._stack.output
         grippers = ",".join(gripper_names())
         joints = ",".join(self._robot.joint_names)
         topics.publish_floats(JOINT_COMMANDS, output.q_target, joints)
-        topics.publish_floats(GRIPPER_STATES, self._world.gripper, grippers)
+        topics.publish_floats(GRIPPER_STATES, openings_of(self._plant), grippers)
         topics.publish_floats(GRIPPER_COMMANDS, output.gripper, grippers)
 
     def _publish_mode(self) -> None:
@@ -164,7 +164,7 @@ class Bridge:
             self._mode_due_s = now_s + _MODE_PERIOD_S
 
 
-def come_to_rest(stack: ControlStack[World]) -> None:
+def come_to_rest(stack: ControlStack[Plant]) -> None:
     """Let nobody drive, and step until the arms are still."""
     stack.request("hold")
     while stack.stopping or stack.arbiter.switching:

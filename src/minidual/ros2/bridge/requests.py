@@ -10,7 +10,7 @@ import numpy as np
 from minidual.control.commands import HOLD, SOURCES, JointCommand
 from minidual.control.stack import ControlStack
 from minidual.errors import MinidualError
-from minidual.plant.world import World
+from minidual.plant.protocol import Plant
 from minidual.robot.pair import GRIPPERS_N, SIDES, Array, Robot
 from minidual.ros2.names import MODE_SWITCH, MOVEIT_COMMANDS, POLICY_ACTION, TELEOP_TARGET
 
@@ -99,7 +99,7 @@ class Inbox:
         complaints: Why messages were ignored or refused, since they were taken last.
     """
 
-    def __init__(self, topics: Any, stack: ControlStack[World], robot: Robot) -> None:
+    def __init__(self, topics: Any, stack: ControlStack[Plant], robot: Robot) -> None:
         self._topics = topics
         self._stack = stack
         self._robot = robot

@@ -10,7 +10,7 @@ import numpy as np
 
 from minidual.demos.rig import Job, Rig
 from minidual.plant.render import Image, write_video
-from minidual.plant.world import World
+from minidual.plant.simulation import Simulation
 from minidual.robot.pair import Array
 from minidual.show.figures.canvas import sheet
 from minidual.show.figures.film_camera import FilmCamera
@@ -58,7 +58,7 @@ def _failure(inputs: MethodInputs, trial: Trial, result: TrialMetrics) -> list[t
     with ExitStack() as open_cameras:
         cameras: list[FilmCamera] = []
 
-        def photograph(world: World, _method: object) -> None:
+        def photograph(world: Simulation, _method: object) -> None:
             if not cameras:  # the condition has changed the world's model by now
                 model = painted(world.scene, world.robot, world.model)
                 camera = FilmCamera(model, FAILURE_SIZE)
@@ -107,7 +107,7 @@ class Postures:
         self.times: list[float] = []
         self.qpos: list[Array] = []
 
-    def __call__(self, world: World) -> None:
+    def __call__(self, world: Simulation) -> None:
         """Sample if due."""
         if world.time >= self._next_s - 1e-9:
             self._next_s = world.time + self._period_s

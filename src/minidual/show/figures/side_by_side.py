@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from minidual.plant.render import Image, write_video
-from minidual.plant.world import World
+from minidual.plant.simulation import Simulation
 from minidual.robot.pair import Array
 from minidual.show.figures.film_camera import FilmCamera
 from minidual.show.figures.film_caption import Caption, captioned
@@ -112,7 +112,7 @@ class _Sampler:
     moments: list[Moment] = field(default_factory=list)
     began_s: float | None = None
 
-    def __call__(self, world: World, method: Method) -> None:
+    def __call__(self, world: Simulation, method: Method) -> None:
         if self.began_s is None:
             self.began_s = world.time
         time_s = world.time - self.began_s
@@ -145,7 +145,7 @@ def take(
     sampler = _Sampler()
     models: list[mujoco.MjModel] = []
 
-    def watch(world: World, running: Method) -> None:
+    def watch(world: Simulation, running: Method) -> None:
         if not models:  # the condition has changed the world's model by now
             models.append(painted(world.scene, world.robot, world.model, fine=fine))
         sampler(world, running)

@@ -19,6 +19,7 @@ from minidual.trials.lessons import mating_pilot
 from minidual.trials.lessons.mating_episode import MatingRuns
 from minidual.trials.lessons.mating_script import record
 from minidual.trials.lessons.mating_worlds import MatingWorlds
+from minidual.trials.methods import MethodInputs
 
 _RANDOMISED = "randomised"
 _SHOWN = "rl-demonstrations"
@@ -84,9 +85,9 @@ class InsertionLesson:
             worlds.close()
         return shown if len(shown.actions) else None
 
-    def driver(self, config: Config, seed: int, network: RlNetwork) -> Callable[..., Any]:
+    def driver(self, inputs: MethodInputs, network: RlNetwork) -> Callable[..., Any]:
         """Return the factory of trials."""
-        return mating_pilot.driver(config, seed, network)
+        return mating_pilot.driver(inputs, network)
 
     def _trunks_of(self, config: Config) -> Trunks:
         """Return the trials of a configuration; the process that starts them lives as long as this one."""

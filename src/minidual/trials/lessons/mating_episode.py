@@ -120,7 +120,7 @@ class MatingRuns:
             return
         inputs = MethodInputs(self._config, self._seed)
         bench = Bench(_METHOD, inputs, request.condition)
-        bench.factory = learned_insertions(bench.task.config, self._seed, lambda: self._policy)
+        bench.factory = learned_insertions(bench.inputs, lambda: self._policy)
         self._benches[request.condition] = bench
         if len(self._benches) == 1:
             with contextlib.suppress(_WarmError):
@@ -143,7 +143,7 @@ class MatingRuns:
         with bench.condition.applied(bench.world.model, bench.task, trial, rng):
             judge = begin(bench.world, bench.task, trial, bench.spec.demands)
             high_m = bench.task.scene.task.clear_height_m
-            episode = MatingEpisode(judge, high_m, self._terms, branches)
+            episode = MatingEpisode(bench, judge, high_m, self._terms, branches)
             self._policy = episode.act
             method = bench.factory(bench.world, bench.kinematics, trial)
             if not isinstance(method, LearnedInsertion):
@@ -155,6 +155,7 @@ class MatingEpisode:
     """Drives one trial; from the branch point on, its actions come from the other end of a pipe.
 
     Args:
+        bench: Where it runs.
         judge: Of the trial, begun.
         high_m: Height over the table at which the parts are in the air.
         terms: Of the observation.
@@ -163,11 +164,14 @@ class MatingEpisode:
 
     def __init__(
         self,
+        bench: Bench,
         judge: Judge,
         high_m: float,
         terms: tuple[str, ...],
         branches: BranchPoint,
     ) -> None:
+        self._plant = bench.plant
+        self._ground = bench.world
         self._judge = judge
         self._high_m = high_m
         self._terms = terms
@@ -194,26 +198,26 @@ class MatingEpisode:
 
     def drive(self, method: LearnedInsertion, limit_s: float) -> str:
         """Run the trial; return why it ended before the branch point, else end the copy."""
-        world = method.world
+        plant = self._plant
         judge = self._judge
         reason = "the time is over"
-        while world.time < limit_s:
+        while plant.time < limit_s:
             try:
                 method.step()
             except MinidualError as error:
                 self._aborted = True
                 reason = error.message
                 break
-            judge.observe(world)
+            judge.observe(self._ground)
             self._feel(judge.truth)
             if method.aborted is not None or judge.failures:
                 self._aborted = True
                 reason = method.aborted or next(iter(judge.failures.values())).detail
                 break
-            if judge.finished or method.done or self._is_late(world.time):
+            if judge.finished or method.done or self._is_late(plant.time):
                 break
         if self._began_s is not None:
-            self._end(method, judge.finished and judge.outcome(world).success)
+            self._end(method, judge.finished and judge.outcome(self._ground).success)
         return reason
 
     def _is_late(self, now_s: float) -> bool:
@@ -243,8 +247,8 @@ class MatingEpisode:
             raise RuntimeError("an episode ended before its first observation")
         if self._aborted:
             return latest
-        world = method.world
-        sensed = method.mating.sense(world.q, method.stack.manager.reference, world.time)
+        plant = self._plant
+        sensed = method.mating.sense(plant.q, method.stack.manager.reference, plant.time)
         return observe_mating(self._terms, sensed)
 
     def _paid(self, success: bool = False) -> float:

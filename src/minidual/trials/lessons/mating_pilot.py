@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numpy as np
 
-from minidual.config.root import Config
 from minidual.environments.actions import arms_of
 from minidual.environments.mating import (
     ACTION,
@@ -168,11 +167,9 @@ class Inference:
         return action.astype(float)
 
 
-def learned_insertions(
-    config: Config, seed: int, make_policy: Callable[[], Policy | None]
-) -> Factory:
+def learned_insertions(inputs: MethodInputs, make_policy: Callable[[], Policy | None]) -> Factory:
     """Return the factory of trials in which a policy mates the parts."""
-    planned = factories.planned(MethodInputs(config, seed), LearnedInsertion)
+    planned = factories.planned(inputs, LearnedInsertion)
 
     def make(plant: Plant, kinematics: Kinematics, trial: Trial) -> LearnedInsertion:
         carry = planned(plant, kinematics, trial)
@@ -184,14 +181,14 @@ def learned_insertions(
     return make
 
 
-def driver(config: Config, seed: int, network: RlNetwork) -> Factory:
+def driver(inputs: MethodInputs, network: RlNetwork) -> Factory:
     """Return the factory of trials.
 
     Raises:
         UsageError: The policy reads or gives what this version does not know.
     """
     check_fits(network)
-    return learned_insertions(config, seed, lambda: Inference(network))
+    return learned_insertions(inputs, lambda: Inference(network))
 
 
 def check_fits(network: RlNetwork) -> None:

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from minidual.config.root import Config
 from minidual.config.seeds import stream
 from minidual.control.commands import ArbiterState, JointCommand
 from minidual.control.reflexes import ReflexError
@@ -22,8 +21,7 @@ from minidual.environments.kernels import wrenches
 from minidual.environments.observations import OBSERVATIONS, Seen, observe, size_of
 from minidual.environments.senses import JointReadings, Sensed, Senses
 from minidual.errors import DataError, UsageError
-from minidual.plant.sensing import Sensors
-from minidual.plant.world import World
+from minidual.plant.protocol import Plant, openings_of
 from minidual.policies.rl.network import RlNetwork
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot, robot_from
@@ -31,47 +29,47 @@ from minidual.skills.supervised import trial_supervisor
 from minidual.skills.things import thing_of
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.task import Task, Trial, placement
-from minidual.trials.methods import Factory
+from minidual.trials.methods import Factory, MethodInputs
 
 SOURCE = "policy"
 TICK_HZ = 50.0
 """Rate of the joint targets between two actions."""
 _ONE = np.zeros(1, dtype=np.int64)
-"""The trial's only world."""
+"""The trial is a batch of one."""
 
 
 class Equipment(NamedTuple):
     """What the trials of one process share."""
 
-    config: Config
-    seed: int
+    inputs: MethodInputs
     network: RlNetwork
     task: Task
     arms: Arms
     supervisor: Supervisor
 
 
-def driver(config: Config, seed: int, network: RlNetwork) -> Factory:
+def driver(inputs: MethodInputs, network: RlNetwork) -> Factory:
     """Return the factory of trials.
 
     Raises:
         UsageError: The policy reads or gives what this version, or these arms, do not know.
     """
+    config = inputs.config
     task = make_task(config)
     robot = robot_from(config.robot)
     arms = arms_of(robot)
     _check_fits(network, arms, robot)
     supervisor = trial_supervisor(
         config.supervisor,
-        task.scene.physics.timestep_s,
+        inputs.period_s,
         robot,
         shapes=[thing_of(task.objects[task.carried].body).shape],
     )
-    equipment = Equipment(config, seed, network, task, arms, supervisor)
+    equipment = Equipment(inputs, network, task, arms, supervisor)
 
-    def make(world: World, kinematics: Kinematics, trial: Trial) -> ReinforcedPilot:
+    def make(plant: Plant, kinematics: Kinematics, trial: Trial) -> ReinforcedPilot:
         stack = ControlStack(
-            world,
+            plant,
             kinematics,
             config.arbiter,
             rate_hz=TICK_HZ,
@@ -105,12 +103,12 @@ def _check_fits(network: RlNetwork, arms: Arms, robot: Robot) -> None:
 class ReinforcedPilot:
     """One trial of a policy.
 
-    The stack's world is already reset.
+    The stack's plant stands at the start.
     """
 
-    def __init__(self, stack: ControlStack[World], equipment: Equipment, trial: Trial) -> None:
+    def __init__(self, stack: ControlStack[Plant], equipment: Equipment, trial: Trial) -> None:
         self.stack = stack
-        self.world = stack.plant
+        self._plant = stack.plant
         self.aborted: str | None = None
         self._network = equipment.network
         self._task = equipment.task
@@ -120,8 +118,9 @@ class ReinforcedPilot:
         self._observer = equipment.supervisor.observer
         self._senses = Senses(self._frames, 1)
         name = self._task.carried
-        rng = stream(equipment.seed, f"sensing/{trial.purpose}", trial.index)
-        self._sensors = Sensors(self.world, equipment.config.carry.sensing, rng, name)
+        inputs = equipment.inputs
+        rng = stream(inputs.seed, f"sensing/{trial.purpose}", trial.index)
+        self._sensors = inputs.sensed.of_object(inputs.config.carry.sensing, rng, name)
         self._goal = np.array([placement(trial.goal[name])])
         self._pose: Array | None = None
         self._began_s: float | None = None
@@ -180,7 +179,7 @@ class ReinforcedPilot:
         command = JointCommand(
             self._actions.target[0].copy(),
             self._actions.opening[0].copy(),
-            self.world.time,
+            self._plant.time,
             self._ticks,
         )
         self.stack.propose(SOURCE, command)
@@ -195,16 +194,16 @@ class ReinforcedPilot:
         self._actions.begin(action.astype(float), sensed)
 
     def _sense(self, T_world_object: Array) -> Sensed:
-        world = self.world
+        plant = self._plant
         if self._began_s is None:
-            self._began_s = world.time
+            self._began_s = plant.time
             self._senses.reset(_ONE, T_world_object[None, None], self._goal)
         arms = JointReadings(
-            np.array([world.time - self._began_s]),
-            world.q[None],
-            world.tau[None],
-            world.gripper[None],
-            world.grip[None],
+            np.array([plant.time - self._began_s]),
+            plant.q[None],
+            plant.tau[None],
+            openings_of(plant)[None],
+            plant.grip[None],
             self._wrenches(),
         )
         return self._senses.read(arms, T_world_object[None, None])
@@ -212,5 +211,5 @@ class ReinforcedPilot:
     def _wrenches(self) -> Array:
         """Return the wrenches (1, 2, 6) of the surroundings on each hand, as the supervisor sees them."""
         felt = np.zeros((1, 2, 6))
-        wrenches(self._frames, self.world.q[None], self._observer.external[None], felt)
+        wrenches(self._frames, self._plant.q[None], self._observer.external[None], felt)
         return felt

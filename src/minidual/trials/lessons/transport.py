@@ -19,6 +19,7 @@ from minidual.policies.rl.network import Description, RlNetwork
 from minidual.tasks.catalogue import make_task
 from minidual.trials.conditions import CONDITIONS
 from minidual.trials.lessons import pilot
+from minidual.trials.methods import MethodInputs
 
 _RANDOMISED = "randomised"
 """Condition of the episodes that are drawn anew in mass, friction and sensor offset."""
@@ -98,9 +99,9 @@ class TransportLesson:
         env.close()
         return Demonstrated(recorded.observations, recorded.actions)
 
-    def driver(self, config: Config, seed: int, network: RlNetwork) -> Callable[..., Any]:
+    def driver(self, inputs: MethodInputs, network: RlNetwork) -> Callable[..., Any]:
         """Return the factory of trials."""
-        return pilot.driver(config, seed, network)
+        return pilot.driver(inputs, network)
 
     def _batch(
         self,
