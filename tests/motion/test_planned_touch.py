@@ -64,7 +64,7 @@ def giver(carry: PlannedCarry) -> int:
 def drive(carry: PlannedCarry, until: str) -> list[str]:
     """Run until a phase or the end; return the phases."""
     phases = [carry.phase]
-    while not carry.done and carry.phase != until and carry.world.time < TASK.time_limit_s:
+    while not carry.done and carry.phase != until and carry.plant.time < TASK.time_limit_s:
         carry.step()
         if carry.phase != phases[-1]:
             phases.append(carry.phase)
@@ -218,7 +218,7 @@ def wrenched(carry: PlannedCarry, force_n: float, aside_m: float) -> np.ndarray:
     """Return the joint torques of a force up on the giving hand, so far along its fingers."""
     arm = giver(carry)
     kinematics = carry.stack.kinematics
-    q = carry.world.q
+    q = carry.plant.q
     x, _, z = kinematics.tcp_poses(q)[arm][:3, :3].T
     wrench = np.r_[-force_n * z, -force_n * aside_m * x]
     return kinematics.tcp_jacobians(q)[arm].T @ wrench

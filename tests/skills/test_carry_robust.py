@@ -246,7 +246,7 @@ def test_slip_on_the_table_does_not_count_in_the_air():
 
     def watch(_, driven):
         if driven.phase in ("squeeze", "carry"):
-            hands = driven.stack.kinematics.tcp_poses(driven.world.q)
+            hands = driven.stack.kinematics.tcp_poses(driven.plant.q)
             spread_m.append(float(np.linalg.norm(hands[0][:3, 3] - hands[1][:3, 3])))
 
     result, _ = bench.run(sample_trial(bench.task.scene, 20260, "benchmark", 92), on_step=watch)

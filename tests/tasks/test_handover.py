@@ -29,6 +29,7 @@ from minidual.skills.things import thing_of
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import Outcome, begin
 from minidual.tasks.task import Step, Task, Trial, pose_of
+from tests.support.carries import true_poses
 
 TASK = make_task(Config(task="handover"))
 MIRRORED = {index: TASK.trial(1, "plan", index).start["bottle"][1] < 0.0 for index in range(8)}
@@ -127,7 +128,14 @@ def test_a_hand_is_told_the_weight_that_it_bears_until_the_bottle_stands(
     """A giver that sags under the bottle lets the taker close beside it."""
     trial = TASK.trial(1, "plan", TO_THE_RIGHT)
     begin(bench, TASK, trial)
-    carry = PlannedCarry(ControlStack(bench, Kinematics()), planner, TASK, trial, TO_THE_RIGHT)
+    carry = PlannedCarry(
+        ControlStack(bench, Kinematics()),
+        planner,
+        TASK,
+        trial,
+        TO_THE_RIGHT,
+        poses=true_poses(bench, TASK),
+    )
     segments = carry.solution.segments
     borne_n = carry.stack.payload.force_n
 
@@ -160,7 +168,14 @@ def test_a_hand_that_closes_on_nothing_is_told_no_weight_and_lifts_nothing(
 ) -> None:
     trial = TASK.trial(1, "plan", TO_THE_RIGHT)
     begin(bench, TASK, trial)
-    carry = PlannedCarry(ControlStack(bench, Kinematics()), planner, TASK, trial, TO_THE_RIGHT)
+    carry = PlannedCarry(
+        ControlStack(bench, Kinematics()),
+        planner,
+        TASK,
+        trial,
+        TO_THE_RIGHT,
+        poses=true_poses(bench, TASK),
+    )
     while not carry.done and carry.phase != "close":
         carry.step()
     joint = bench.model.body("bottle").jntadr[0]
@@ -180,7 +195,14 @@ def test_what_both_hands_hold_is_told_to_neither(planner: Planner) -> None:
     world = World(task.scene)
     trial = task.trial(1, "plan", 0)
     begin(world, task, trial)
-    carry = PlannedCarry(ControlStack(world, Kinematics()), planner, task, trial, 0)
+    carry = PlannedCarry(
+        ControlStack(world, Kinematics()),
+        planner,
+        task,
+        trial,
+        0,
+        poses=true_poses(world, task),
+    )
     while not carry.done and carry.phase not in ("lift", "carry"):
         carry.step()
     assert any(carry._left[0].scene.attached)
@@ -322,7 +344,9 @@ def test_a_bottle_that_is_put_down_for_another_grasp_is_handed_over_too(
         Kinematics(),
         supervisor=trial_supervisor(TASK.config.supervisor, bench.dt, bench.robot),
     )
-    carry = PlannedCarry(stack, planner, anew, trial, TO_THE_RIGHT)
+    carry = PlannedCarry(
+        stack, planner, anew, trial, TO_THE_RIGHT, poses=true_poses(bench, anew)
+    )
     outcome = drive(bench, judge, carry)
     assert outcome.success, (outcome.reason, carry.aborted)
     assert "open left" in [stage.name for stage in carry.solution.record.stages]

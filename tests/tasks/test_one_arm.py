@@ -26,6 +26,7 @@ from minidual.skills.planned_carry import PlannedCarry
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import Outcome, begin
 from minidual.tasks.task import DOWN, Step, Task, Trial, placement
+from tests.support.carries import true_poses
 
 _TURNS = (0.0, np.pi / 2.0, -np.pi / 2.0, np.pi)
 _FROM_THE_SIDE = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
@@ -100,7 +101,9 @@ def tried(name: str, index: int, planner: Planner) -> Outcome | None:
     world = World(task.scene)
     judge = begin(world, task, trial)
     stack = ControlStack(world, Kinematics())
-    drive = PlannedCarry(stack, planner, alone(task, trial, arm), trial, index)
+    drive = PlannedCarry(
+        stack, planner, alone(task, trial, arm), trial, index, poses=true_poses(world, task)
+    )
     if drive.solution is None:
         return None
     while not drive.done and world.time < task.time_limit_s:

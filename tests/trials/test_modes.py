@@ -32,7 +32,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.skills.operator import ScriptedOperator
 from minidual.stages.modes import find_checkpoint, modes
-from minidual.stages.modes_film import captioned
+from minidual.stages.modes_film import Bar, captioned
 from minidual.tasks.task import Trial
 from minidual.trials import modes_turns
 from minidual.trials.modes import DEFAULT_MODES, ModesDemo, Switch, parse_modes
@@ -72,9 +72,12 @@ class Stage:
         guard = Supervisor(dt_s=world.dt) if supervised else None
         self.stack = ControlStack(world, Kinematics(), supervisor=guard)
         self.runtime: Any = Mimic()
+        self.seen = modes_turns.Seen(scene, world.object_pose)
 
     def moveit(self, *, home: bool, share: float = 1.0) -> Turn:
-        return modes_turns.moveit(self.stack, Planner(), SEED, home=home, share=share)
+        return modes_turns.moveit(
+            self.stack, Planner(), SEED, self.seen, home=home, share=share
+        )
 
     def teleop(self) -> Turn:
         return modes_turns.teleop(
@@ -83,6 +86,7 @@ class Stage:
             self.trial,
             SEED,
             50.0,
+            self.seen,
         )
 
     def policy(self) -> Turn:
@@ -93,6 +97,7 @@ class Stage:
             picture,
             carry_task(self.world.scene),
             self.trial,
+            self.world,
         )
 
 
@@ -201,13 +206,13 @@ def test_the_caption_changes_with_who_drives(world: World) -> None:
     stage = Stage(world)
     picture = np.zeros((90, 160, 3), np.uint8)
     turn = stage.teleop()
-    held = captioned(picture, stage.stack, turn)
+    held = captioned(picture, Bar.of(stage.stack, turn))
     assert held.shape[0] > 90
     assert held.shape[1] == 160
     steps = ModesDemo(stage.stack, [turn]).steps()
     for _ in range(60):
         next(steps)
-    driven = captioned(picture, stage.stack, turn)
+    driven = captioned(picture, Bar.of(stage.stack, turn))
     assert stage.stack.output.active_source == "teleop"
     assert not np.array_equal(held[95:], driven[95:])
 
@@ -268,15 +273,15 @@ def test_modes_demonstrates_what_carry_carries(tmp_path: Path) -> None:
         EnvironmentMissingError,
         match="films no more",
     ):  # the world stands, the modes are prepared
-        _filming(modes, boxed)
+        _prepared(modes, boxed)
 
 
-def _filming(run: Callable[[ToolContext], Any], context: ToolContext) -> None:
+def _prepared(run: Callable[[ToolContext], Any], context: ToolContext) -> None:
     def refuse(*_args: object, **_options: object) -> int:
         raise EnvironmentMissingError("films no more")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("minidual.stages.modes.write_video", refuse)
+        patch.setattr("minidual.stages.modes.shots_of", refuse)
         run(context)
 
 

@@ -27,6 +27,7 @@ from minidual.tasks.catalogue import make_task
 from minidual.tasks.task import Trial
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
+from tests.support.carries import true_poses
 from tests.support.carry_trials import carry_task, sample_trial
 from tests.support.panda import HOME
 
@@ -100,7 +101,7 @@ def test_a_reflex_ends_a_planned_trial(world: World, trial: Trial) -> None:
         Kinematics(),
         supervisor=trial_supervisor(FRAIL, world.dt, DUAL_PANDA),
     )
-    carry = PlannedCarry(stack, planner, TASK, trial, SEED)
+    carry = PlannedCarry(stack, planner, TASK, trial, SEED, poses=true_poses(world, TASK))
     assert _steps(carry, 2000) < 2000
     assert "phase 'approach': reflex speed.joint" in (carry.aborted or "")
 
@@ -117,6 +118,7 @@ def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(
         TASK,
         trial,
         SEED,
+        poses=true_poses(world, TASK),
     )
     assert carry.solution is not None
     distance = arm_distance(DUAL_PANDA)
@@ -132,6 +134,7 @@ def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(
         TASK,
         trial,
         SEED,
+        poses=true_poses(world, TASK),
     )
     assert carry.done
     assert "they must keep 145" in (carry.aborted or "")

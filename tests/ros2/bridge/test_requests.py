@@ -74,7 +74,7 @@ def topics() -> FakeTopics:
 @pytest.fixture
 def bridge(world, topics) -> Bridge:
     stack = ControlStack(world, Kinematics(world.robot), rate_hz=100.0)
-    return Bridge(topics, stack, topics.shown.append)
+    return Bridge(topics, stack, lambda: topics.shown.append(stack.plant.q))
 
 
 def ticks(bridge: Bridge, count: int) -> None:

@@ -104,7 +104,7 @@ class Driven:
         self.observed: list[Any] = []
         with bench.condition.applied(world.model, bench.task, trial, rng):
             judge = begin(world, bench.task, trial)
-            factory = learned_insertions(bench.task.config, bench.seed, lambda: policy)
+            factory = learned_insertions(bench.inputs, lambda: policy)
             method = factory(world, bench.kinematics, trial)
             assert isinstance(method, LearnedInsertion)
             self.method = method
