@@ -17,8 +17,8 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import inverse, pose, rot_x, rot_z
 from minidual.skills.object_path import ObjectPath, Waypoint
 from minidual.tasks.task import grasp_offsets
-from tests.support.carries import impedance_carry
 from tests.support import force_law_oracle as oracle
+from tests.support.carries import impedance_carry
 from tests.support.carry_trials import PERFECT_SENSING, rod_judge, rod_trial, sample_trial
 from tests.support.panda import HOME, JOINT_DAMPING
 

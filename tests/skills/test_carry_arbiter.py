@@ -30,8 +30,8 @@ from minidual.skills.carry_phases import CarryPhases
 from minidual.skills.faults import Fault
 from minidual.skills.impedance_carry import SOURCE, ImpedanceCarry
 from minidual.tasks.task import level_pose, tilt_rad
-from tests.support.carries import impedance_carry
 from tests.support.branches import Branches
+from tests.support.carries import impedance_carry
 from tests.support.carry_trials import sample_trial
 from tests.support.panda import HOME, TAU_RATE_MAX
 

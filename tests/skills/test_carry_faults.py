@@ -17,8 +17,8 @@ from minidual.robot.kinematics import Kinematics
 from minidual.skills import carry_phases
 from minidual.skills.faults import CLOSED, OPENING, Fault, FaultMonitor
 from minidual.skills.impedance_carry import ImpedanceCarry
-from tests.support.carries import impedance_carry
 from tests.support.branches import Branches
+from tests.support.carries import impedance_carry
 from tests.support.carry_trials import rod_trial, sample_trial
 from tests.support.panda import A_MAX, DOF, TAU_MAX, TAU_RATE_MAX
 

@@ -32,9 +32,7 @@ def impedance_carry(
         sensors = Sensors(world, carry.sensing, rng)
     arbiter = ArbiterConfig() if arbiter is None else arbiter
     config = Config(scene=world.scene, carry=carry, arbiter=arbiter)
-    return ImpedanceCarry(
-        world, kinematics, config, trial, sensors=sensors, supervisor=supervisor
-    )
+    return ImpedanceCarry(world, kinematics, config, trial, sensors=sensors, supervisor=supervisor)
 
 
 def true_poses(world: World, task: Task) -> dict[str, Array]:

@@ -344,9 +344,7 @@ def test_a_bottle_that_is_put_down_for_another_grasp_is_handed_over_too(
         Kinematics(),
         supervisor=trial_supervisor(TASK.config.supervisor, bench.dt, bench.robot),
     )
-    carry = PlannedCarry(
-        stack, planner, anew, trial, TO_THE_RIGHT, poses=true_poses(bench, anew)
-    )
+    carry = PlannedCarry(stack, planner, anew, trial, TO_THE_RIGHT, poses=true_poses(bench, anew))
     outcome = drive(bench, judge, carry)
     assert outcome.success, (outcome.reason, carry.aborted)
     assert "open left" in [stage.name for stage in carry.solution.record.stages]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import re
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +16,7 @@ import numpy as np
 import pytest
 
 from minidual.config.control import ArbiterConfig, CarryConfig
-from minidual.config.root import Config
+from minidual.config.root import Config, changed
 from minidual.control.commands import Refusal, TrajectoryCommand
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
@@ -75,9 +77,7 @@ class Stage:
         self.seen = modes_turns.Seen(scene, world.object_pose)
 
     def moveit(self, *, home: bool, share: float = 1.0) -> Turn:
-        return modes_turns.moveit(
-            self.stack, Planner(), SEED, self.seen, home=home, share=share
-        )
+        return modes_turns.moveit(self.stack, Planner(), SEED, self.seen, home=home, share=share)
 
     def teleop(self) -> Turn:
         return modes_turns.teleop(
@@ -341,3 +341,46 @@ def test_a_demonstration_that_ends_early_leaves_its_log_and_exits_1(
     with (context.output / "modes.csv").open() as file:
         assert len(list(csv.DictReader(file))) > 1
     assert (context.output / "modes.mp4").stat().st_size > 0
+
+
+def test_on_a_plant_without_cameras_signals_are_drawn_and_the_policy_is_refused(
+    tmp_path: Path,
+) -> None:
+    arms = {"plant.address": "tests.support.position_plant:Follower"}
+    context = _context(tmp_path, modes="moveit,teleop,moveit")
+    context = replace(context, config=changed(context.config, arms))
+    result = modes(context)
+    context.publish()
+    assert result.data["place"] == "test double"
+    assert result.data["ended"] is None
+    assert len(result.data["switches"]) == 3
+    assert (tmp_path / "modes" / "modes.svg").is_file()
+    assert not (tmp_path / "modes" / "modes.mp4").exists()
+    assert any("nothing senses the object" in note for note in result.notes)
+    folder = tmp_path / "train-act" / "checkpoint"
+    folder.mkdir(parents=True)
+    (folder / "config.json").write_text("{}")
+    with pytest.raises(UsageError, match="looks through cameras, and plant"):
+        modes(replace(context, options={"modes": "moveit,policy"}))
+
+
+def test_where_time_runs_on_the_arms_are_held_while_a_plan_is_made(world: World) -> None:
+    stack = Stage(world).stack
+    world.catch_up = lambda: None  # type: ignore[attr-defined]
+    stack.request("moveit")
+    while stack.source != "moveit":
+        stack.step()
+    began_s = world.time
+    held = modes_turns.while_held(stack, "moveit", itertools.count(1), lambda: time.sleep(0.2) or 7)
+    result = None
+    while True:
+        try:
+            next(held)
+        except StopIteration as ended:
+            result = ended.value
+            break
+        stack.step()
+    assert result == 7
+    assert world.time > began_s
+    assert stack.source == "moveit"
+    np.testing.assert_allclose(world.q, HOME, atol=5e-3)

@@ -1,0 +1,102 @@
+"""`minidual lead`: a leader drives any plant, without a task's judge."""
+
+from __future__ import annotations
+
+import csv
+import json
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from minidual.config.root import changed
+from minidual.errors import ExitCode, UsageError
+from minidual.gate.stage import ToolContext
+from minidual.robot.pair import DUAL_PANDA
+from minidual.stages.lead import lead
+from tests.support.tool_contexts import tool_context
+
+ARMS = "tests.support.position_plant:Follower"
+PORT = 47655
+
+
+def context(tmp_path: Path, settings: dict[str, Any], **options: Any) -> ToolContext:
+    made = tool_context(tmp_path, "lead", "rod_carry", **options)
+    return replace(made, config=changed(made.config, settings))
+
+
+@contextmanager
+def program() -> Iterator[None]:
+    """Send targets 50 times a second: the fourth joints swing, and start is pressed at first."""
+    stop = threading.Event()
+
+    def send() -> None:
+        out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        for k in range(100_000):
+            if stop.wait(0.02):
+                break
+            q = DUAL_PANDA.home.copy()
+            q[[3, 10]] += 0.1 * (1.0 - np.cos(0.05 * max(0, k - 50)))
+            message = {
+                "version": 1,
+                "sender": "test",
+                "sequence": k,
+                "stamp_s": time.monotonic(),
+                "q": q.tolist(),
+                "openings": [1.0, 1.0],
+                "pressed": ["start"] if k % 10 == 0 and k < 50 else [],
+            }
+            out.sendto(json.dumps(message).encode(), ("127.0.0.1", PORT))
+        out.close()
+
+    sending = threading.Thread(target=send)
+    sending.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        sending.join()
+
+
+def test_a_program_on_the_network_leads_a_plant_of_another_module(tmp_path: Path) -> None:
+    settings = {
+        "plant.address": ARMS,
+        "teleop.leader": "network",
+        "teleop.network.host": "127.0.0.1",
+        "teleop.network.port": PORT,
+    }
+    tool = context(tmp_path, settings, seconds=3)
+    with program():
+        result = lead(tool)
+    tool.publish()
+    assert result.exit_code == ExitCode.PASS
+    data = result.data
+    assert (data["place"], data["leader"], data["ended_by"]) == ("test double", "network", "time")
+    assert data["ticks"] == 150.0
+    assert data["turned_rad"] > 0.05
+    assert 0.0 <= data["lag_s"] < 0.1
+    assert data["age_p99_s"] < 1.0
+    with (tmp_path / "run" / "lead" / "lead.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 150
+    assert float(rows[-1]["left_panda_joint4 commanded"]) != pytest.approx(DUAL_PANDA.home[3])
+
+
+def test_a_scripted_leader_leads_the_simulator(tmp_path: Path) -> None:
+    result = lead(context(tmp_path, {"teleop.leader": "scripted"}, seconds=2))
+    assert result.data["place"] == "simulator"
+    assert result.data["rate_hz"] == pytest.approx(50.0, abs=0.1)
+    assert result.data["late_ticks"] == 0.0
+    assert result.data["refusals"] == []
+
+
+def test_a_time_that_is_none_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--seconds is 0"):
+        lead(context(tmp_path, {}, seconds=0.0))
