@@ -14,7 +14,7 @@ from minidual.plant.world import World
 from minidual.robot.pair import Array
 
 MIRRORED = (
-    mujoco.mjtState.mjSTATE_PHYSICS
+    mujoco.mjtState.mjSTATE_FULLPHYSICS
     | mujoco.mjtState.mjSTATE_CTRL
     | mujoco.mjtState.mjSTATE_WARMSTART
 )
