@@ -8,9 +8,8 @@ from __future__ import annotations
 import contextlib
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +25,7 @@ from minidual.skills.plant_drive import PlantDrive, swing
 from minidual.tasks.catalogue import make_task
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.site import PlantSite
+from tests.support.processes import running, started, told
 
 pytest.importorskip("franky", reason="needs the extra minidual[franka] (franky-control)")
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
@@ -55,35 +55,16 @@ drive.follow(swing(drive.q.copy(), np.full(14, {SWING_RAD}) * [1, 1, 1, 1, 1, 0,
 """
 
 
-def process(*arguments: str) -> subprocess.Popen[str]:
-    """Start a Python process; wait for its first line."""
-    started = subprocess.Popen(
-        [sys.executable, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
-    assert told(started)
-    return started
-
-
-def told(started: subprocess.Popen[str]) -> str:
-    out: IO[str] | None = started.stdout
-    assert out is not None
-    return out.readline().strip()
-
-
 @pytest.fixture
 def emulator() -> Iterator[subprocess.Popen[str]]:
-    started = process("-m", "tests.support.served_emulator", SERVERS, str(PATIENCE_S))
-    yield started
-    started.kill()
-    started.wait()
+    with running("-m", "tests.support.served_emulator", SERVERS, str(PATIENCE_S)) as process:
+        yield process
 
 
 @pytest.fixture
 def network(emulator: subprocess.Popen[str]) -> Iterator[subprocess.Popen[str]]:
-    started = process("-m", "tests.support.franka_proxy", PROXIES, SERVERS)
-    yield started
-    started.kill()
-    started.wait()
+    with running("-m", "tests.support.franka_proxy", PROXIES, SERVERS) as process:
+        yield process
 
 
 @pytest.fixture
@@ -186,7 +167,7 @@ def test_an_emulator_that_is_killed_is_a_named_stop(
 def test_a_client_that_is_killed_leaves_two_arms_at_rest_with_a_name(
     emulator: subprocess.Popen[str],
 ) -> None:
-    driver = process("-c", DRIVER)
+    driver = started("-c", DRIVER)
     driver.send_signal(signal.SIGKILL)
     driver.wait()
     scene = make_task(Config()).scene
