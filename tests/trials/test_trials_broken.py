@@ -19,6 +19,7 @@ from minidual.trials import runner
 from minidual.trials.conditions import CLEAN, condition
 from minidual.trials.methods import METHODS
 from minidual.trials.runner import Bench, Judged
+from minidual.trials.site import SimulatedSite
 from tests.support.carry_trials import carry_task, same_row, sample_trial
 from tests.support.placing import put_at
 
@@ -79,7 +80,8 @@ def _run(
     bench.spec = METHODS[method]
     bench.task = carry_task(world.scene) if task is None else task
     bench.condition = condition(CLEAN)
-    bench.world = world
+    bench.site = SimulatedSite(world)
+    bench.plant = bench.world = world
     bench.kinematics = Kinematics()
     bench.hands = Hands(bench.kinematics)
     bench.factory = lambda w, k, _trial: Stands(w, k, **how)
