@@ -19,6 +19,7 @@ from minidual.control.measurement import Measurement
 from minidual.control.stack_state import StackState
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
+from minidual.plant.lifecycle import speed_share
 from minidual.plant.protocol import Plant
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
@@ -57,7 +58,8 @@ class ControlStack[P: Plant](StackState):
         self.kinematics = kinematics
         self._robot = kinematics.robot
         self._config = ArbiterConfig() if config is None else config
-        self._speed = self._config.speed_override
+        self._speed_max = speed_share(plant)
+        self._speed = min(self._config.speed_override, self._speed_max)
         self.every = _steps_per_tick(rate_hz, plant.dt)
         if supervisor is None:
             own = Kinematics(self._robot)

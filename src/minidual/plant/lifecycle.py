@@ -95,6 +95,11 @@ def runs_on(plant: object) -> bool:
     return hasattr(plant, "catch_up")
 
 
+def speed_share(plant: object) -> float:
+    """Return the share of full speed at which a plant follows motions within the arms' limits."""
+    return float(getattr(plant, "speed_share", 1.0))
+
+
 def catch_up(plant: Any) -> None:
     """Let a plant whose time runs on read its newest measurements."""
     if runs_on(plant):
@@ -105,7 +110,8 @@ class Connection:
     """Life cycle of one plant: connect, activate, ask, recover, close.
 
     A plant may have `connect()`, `activate(kind)`, `stamps_s`, `healths`, `sent`, `recover()`,
-    `close()`, `kinds`, `place`, `catch_up()` and `twin()`. What it lacks has a default.
+    `close()`, `kinds`, `place`, `speed_share`, `catch_up()` and `twin()`. What it lacks has a
+    default.
 
     Attributes:
         address: As typed, for messages and reports.

@@ -1,5 +1,6 @@
 """Two Franka arms as a plant: joint targets out, stamped states in, errors by name."""
 
+import math
 import time
 from typing import ClassVar
 
@@ -44,6 +45,9 @@ class FrankaPlant:
         self._scene = request.scene
         self._twin: EmulatorTwin | None = None
         self.dt = 1.0 / request.config.rate_hz
+        # A motion at a share s of its speed has s^2 of its acceleration.
+        acceleration_share = request.config.acceleration_share
+        self.speed_share = min(request.config.velocity_share, math.sqrt(acceleration_share))
         self._config = request.config
         self._arms: list[ArmLink] = []
         self._hands: list[HandLink] = []
