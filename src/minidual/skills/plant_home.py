@@ -37,14 +37,15 @@ def bring_home(link: Connection, config: Config, planner: Planner, seed: int) ->
     drive.begin()
     drive.openings[:] = 1.0
     drive.hold(_OPENING_S)
+    step_s = link.plant.dt * drive.stack.speed_override
     for (start, motion), group in zip(motions, _GROUPS, strict=False):
-        drive.follow(_postures(motion, start, robot.groups[group], link.plant.dt))
+        drive.follow(_postures(motion, start, robot.groups[group], step_s))
     drive.move(robot.home)
 
 
-def _postures(motion: Trajectory, start: Array, joints: slice, dt_s: float) -> Array:
-    """Return postures (T, n) of both arms, one a control step; the other arm stays."""
-    times = np.arange(1, round(motion.duration_s / dt_s) + 2) * dt_s
+def _postures(motion: Trajectory, start: Array, joints: slice, step_s: float) -> Array:
+    """Return postures (T, n) of both arms, one for each step of the motion; the other arm stays."""
+    times = np.arange(1, round(motion.duration_s / step_s) + 2) * step_s
     samples = motion.sample_many(times).q
     postures = np.tile(start, (len(times), 1))
     own = samples if samples.shape[1] < postures.shape[1] else samples[:, joints]
