@@ -1,4 +1,4 @@
-"""The part of the vendor's client library that the plant uses, without a network: arms go where they are told."""
+"""The part of the vendor's client library that the plant uses, without a network: arms move as they are told."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ class Robot:
         self.time_ms = 1000.0 if host.endswith("1") else 5000.0
         self.silent = False
         self.raises: Exception | None = None
-        self.motions: list[JointWaypointMotion] = []
+        self.motions: list[JointVelocityWaypointMotion] = []
+        self.speed = np.zeros(7)
         self.calls: list[str] = []
         self.recoverable = True
         self.cell.robots[host] = self
@@ -49,10 +50,12 @@ class Robot:
     def state(self) -> SimpleNamespace:
         if not self.silent:
             self.time_ms += 4.0  # the next read comes when it comes
+            self.q = self.q + 0.004 * self.speed
         named = {error.name: error.name in self.errors for error in ERRORS}
         return SimpleNamespace(
             time=SimpleNamespace(to_sec=lambda: 1e-3 * self.time_ms),
             q=self.q,
+            q_d=self.q,
             dq=np.zeros(7),
             tau_J=np.ones(7),
             current_errors=SimpleNamespace(**named),
@@ -66,13 +69,14 @@ class Robot:
             raise error
         return bool(self.motions)
 
-    def move(self, motion: JointWaypointMotion, asynchronous: bool) -> None:
+    def move(self, motion: JointVelocityWaypointMotion, asynchronous: bool) -> None:
         assert asynchronous
         self.motions.append(motion)
-        self.q = motion.waypoints[0].target.position
+        self.speed = motion.waypoints[0].target
 
     def stop(self) -> None:
         self.calls.append("stop")
+        self.speed = np.zeros(7)
 
     def join_motion(self, timeout: float) -> bool:
         self.calls.append("join")
@@ -121,22 +125,15 @@ class Duration:
         self.milliseconds = milliseconds
 
 
-class JointState:
-    def __init__(self, position: np.ndarray, velocity: np.ndarray | None = None) -> None:
-        self.position = np.array(position)
-        self.velocity = np.zeros(7) if velocity is None else np.array(velocity)
+class JointVelocityWaypoint:
+    def __init__(self, target: np.ndarray, hold_target_duration: Duration) -> None:
+        self.target = np.array(target)
+        self.hold = hold_target_duration
 
 
-class JointWaypoint:
-    def __init__(self, target: JointState, minimum_time: Duration | None = None) -> None:
-        self.target = target
-        self.minimum_time = minimum_time
-
-
-class JointWaypointMotion:
-    def __init__(self, waypoints: list[JointWaypoint], return_when_finished: bool) -> None:
+class JointVelocityWaypointMotion:
+    def __init__(self, waypoints: list[JointVelocityWaypoint]) -> None:
         self.waypoints = waypoints
-        self.holds = not return_when_finished
 
 
 RelativeDynamicsFactor = SimpleNamespace
@@ -151,9 +148,8 @@ def module(cell: Cell) -> SimpleNamespace:
         Robot=Robot,
         Gripper=Gripper,
         Duration=Duration,
-        JointState=JointState,
-        JointWaypoint=JointWaypoint,
-        JointWaypointMotion=JointWaypointMotion,
+        JointVelocityWaypoint=JointVelocityWaypoint,
+        JointVelocityWaypointMotion=JointVelocityWaypointMotion,
         RelativeDynamicsFactor=lambda v, a, j: (v, a, j),
         RealtimeConfig=RealtimeConfig,
         RobotMode=RobotMode,

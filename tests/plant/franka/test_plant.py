@@ -68,24 +68,42 @@ def test_both_arms_are_measured_on_one_clock(open_link: Connection) -> None:
     assert np.allclose(driven.tau, 1.0)
 
 
-def test_targets_carry_their_velocity_and_a_place_to_rest(
+def test_targets_are_pursued_by_their_velocity_which_ends_in_rest(
     cell: fake_franky.Cell, open_link: Connection
 ) -> None:
     driven = open_link.plant
-    q = DUAL_PANDA.home + 0.01
     v = np.full(14, 0.5)
+    q = DUAL_PANDA.home + 0.01 + 0.02 * v
     driven.follow(q, v, np.full(2, np.nan))
-    for index, host in enumerate(HOSTS):
+    for host in HOSTS:
         (motion,) = cell.robots[host].motions
         first, rest = motion.waypoints
-        joints = DUAL_PANDA.joints_of(index)
-        assert np.allclose(first.target.position, q[joints])
-        assert np.allclose(first.target.velocity, 0.5)
-        assert first.minimum_time.milliseconds == 20
-        assert (rest.target.position > q[joints]).all()
-        assert not rest.target.velocity.any()
-        assert motion.holds
+        assert np.allclose(first.target, 0.5 + 8.0 * 0.01)
+        assert first.hold.milliseconds == 40
+        assert not rest.target.any()
+        assert rest.hold.milliseconds > 1_000_000
     assert np.array_equal(open_link.sent.q, q)
+
+
+def test_a_far_target_is_pursued_within_the_share_of_the_speed(
+    cell: fake_franky.Cell, open_link: Connection
+) -> None:
+    driven = open_link.plant
+    driven.follow(DUAL_PANDA.home + 1.0, np.zeros(14), np.full(2, np.nan))
+    share = PlantConfig().velocity_share
+    for index, host in enumerate(HOSTS):
+        (motion,) = cell.robots[host].motions
+        v_max = DUAL_PANDA.v_max[DUAL_PANDA.joints_of(index)]
+        assert np.allclose(motion.waypoints[0].target, 0.95 * share * v_max)
+
+
+def test_a_target_is_reached(cell: fake_franky.Cell, open_link: Connection) -> None:
+    driven = open_link.plant
+    target = DUAL_PANDA.home + 0.05
+    for _ in range(60):
+        driven.follow(target, np.zeros(14), np.full(2, np.nan))
+        driven.step()
+    assert np.abs(driven.q - target).max() < 1e-3
 
 
 def test_an_error_of_one_arm_is_named_and_the_arm_gets_no_more_targets(

@@ -22,7 +22,13 @@ _ANY_WIDTH_M = 0.1
 _HAND_PERIOD_S = 0.02
 _STIFFNESS_NM_PER_RAD = (3000.0, 3000.0, 3000.0, 2500.0, 2500.0, 2000.0, 2000.0)
 """The controller's own."""
-_BRAKE_SHARE = 0.5
+_PURSUIT_PER_S = 8.0
+"""Velocity for each radian by which the controller's target is away from ours."""
+_SPEED_SHARE = 0.95
+"""Of the velocities that the library's interpolation may use: at its limit it refuses."""
+_PATIENCE_PERIODS = 2.0
+"""So long an arm keeps its velocity without a new target."""
+_HOLD_MS = 3_600_000
 
 
 def client_library() -> Any:
@@ -71,7 +77,7 @@ class ArmLink:
         self.host = host
         self._franky = franky = client_library()
         joints = robot.joints_of(arm)
-        self._a_brake = _BRAKE_SHARE * config.acceleration_share * robot.a_max[joints]
+        self._v_max = _SPEED_SHARE * config.velocity_share * robot.v_max[joints]
         try:
             self._robot = franky.Robot(
                 host,
@@ -97,6 +103,7 @@ class ArmLink:
         self._began_s: float | None = None
         self.time_s = 0.0
         self.q = np.zeros(JOINTS_N)
+        self._q_told = np.zeros(JOINTS_N)
         self.v = np.zeros(JOINTS_N)
         self.tau = np.zeros(JOINTS_N)
         self.success_rate = 1.0
@@ -120,6 +127,7 @@ class ArmLink:
         newer = time_s > self.time_s
         self.time_s = time_s
         self.q = np.array(state.q)
+        self._q_told = np.array(state.q_d)
         self.v = np.array(state.dq)
         self.tau = np.array(state.tau_J)
         self.success_rate = float(state.control_command_success_rate)
@@ -142,17 +150,24 @@ class ArmLink:
         self.fault = self.fault or ", ".join(reasons)
 
     def follow(self, q: Array, v: Array, period_s: float) -> None:
-        """Be at q (7,) with velocity v (7,) after a period; without the next target, come to rest."""
+        """Be at q (7,) with velocity v (7,) after a period; without the next target, come to rest.
+
+        The controller gets velocities: v, and what brings its target back to ours. Its
+        interpolation towards positions in motion fails where targets come late.
+        """
         if self.fault:
             return
         franky = self._franky
-        rest = q + v * np.abs(v) / (2.0 * self._a_brake)
-        milliseconds = franky.Duration(max(1, round(1000.0 * period_s)))
+        now = q - period_s * v
+        pursuit = v + _PURSUIT_PER_S * (now - self._q_told)
+        speed = np.clip(pursuit, -self._v_max, self._v_max)
+        patience = franky.Duration(round(1000.0 * _PATIENCE_PERIODS * period_s))
+        hold = franky.Duration(_HOLD_MS)
         waypoints = [
-            franky.JointWaypoint(franky.JointState(q, v), minimum_time=milliseconds),
-            franky.JointWaypoint(franky.JointState(rest)),
+            franky.JointVelocityWaypoint(speed, hold_target_duration=patience),
+            franky.JointVelocityWaypoint(np.zeros(JOINTS_N), hold_target_duration=hold),
         ]
-        motion = franky.JointWaypointMotion(waypoints, return_when_finished=False)
+        motion = franky.JointVelocityWaypointMotion(waypoints)
         try:
             self._robot.move(motion, asynchronous=True)
             self._stopped = False
