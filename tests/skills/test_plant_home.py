@@ -17,6 +17,7 @@ def test_arms_that_are_elsewhere_come_home_with_open_hands() -> None:
     plant._q = plant._last = plant._target = DUAL_PANDA.home + 0.25
     plant.targets = [plant._q.copy()]
     plant.faults[0] = ("joint_reflex",)
+    plant.speed_share = 0.5
     link = Connection("tests:arms", plant).open()
     bring_home(link, Config(), Planner(), 1)
     assert np.abs(plant.q - DUAL_PANDA.home).max() < 0.01

@@ -4,6 +4,7 @@ Example: docs/control.md. The parts of a tick are in loop.py; arbitration comes 
 """
 
 from collections.abc import Callable, Sequence
+from typing import Final
 
 import numpy as np
 
@@ -54,7 +55,7 @@ class ControlStack[P: Plant](StackState):
         supervisor: Supervisor | None = None,
         sensor: ObjectSensor | None = None,
     ) -> None:
-        self.plant = plant
+        self.plant: Final = plant
         self.kinematics = kinematics
         self._robot = kinematics.robot
         self._config = ArbiterConfig() if config is None else config

@@ -86,7 +86,7 @@ class ToldSenses:
         """See `Senses`."""
         if name is None and len(self._poses) == 1:
             name = next(iter(self._poses))
-        if name not in self._poses:
+        if name is None or name not in self._poses:
             raise UsageError(f"nobody has said where '{name}' is, and the plant senses no objects")
         return _Told(self._poses[name], self._clock)
 

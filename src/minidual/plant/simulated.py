@@ -4,7 +4,7 @@ import numpy as np
 
 from minidual.plant.connect import PlantRequest
 from minidual.plant.lifecycle import CommandKind, Sent
-from minidual.plant.servo import HandServo, JointServo
+from minidual.plant.servo import GRIP_N, HandServo, JointServo
 from minidual.plant.twin import OwnWorld
 from minidual.plant.world import World
 from minidual.robot.pair import SIDES, Array
@@ -35,7 +35,7 @@ class PositionWorld:
         self.world = world
         self.robot = world.robot
         self.dt = 1.0 / rate_hz
-        self.grip_max_n = world.grip_max_n
+        self.grip_max_n = GRIP_N  # its drives close the hands with this force, no other
         self._ticks = round(self.dt / world.dt)
         self._joints = JointServo(world.robot)
         self._hands = [HandServo(arm, world) for arm in range(len(SIDES))]

@@ -45,7 +45,8 @@ def bring_home(link: Connection, config: Config, planner: Planner, seed: int) ->
 
 def _postures(motion: Trajectory, start: Array, joints: slice, step_s: float) -> Array:
     """Return postures (T, n) of both arms, one for each step of the motion; the other arm stays."""
-    times = np.arange(1, round(motion.duration_s / step_s) + 2) * step_s
+    steps = range(1, round(motion.duration_s / step_s) + 2)
+    times = np.array([step * step_s for step in steps])
     samples = motion.sample_many(times).q
     postures = np.tile(start, (len(times), 1))
     own = samples if samples.shape[1] < postures.shape[1] else samples[:, joints]

@@ -127,7 +127,7 @@ class LearnedInsertion(CompliantCarry):
 
     @cached_property
     def _parts(self) -> Parts:
-        return parts_of(self.task, arms_of(self.world.robot).frames)
+        return parts_of(self.task, arms_of(self.plant.robot).frames)
 
     def _new_mating(self, meeting: Meeting) -> Mating | None:
         if self.policy is None:
