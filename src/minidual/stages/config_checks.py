@@ -39,6 +39,11 @@ def check_plan(config: Config) -> None:
 def check_carry(config: Config) -> None:
     """Raise UsageError unless both hands hold one object, in the simulator."""
     simulator_only(config, "carry")
+    check_together(config)
+
+
+def check_together(config: Config) -> None:
+    """Raise UsageError unless both hands hold one object."""
     if not make_task(config).together:
         raise ConfigError(
             f"both hands carry one object; in the task '{config.task}' they do not",

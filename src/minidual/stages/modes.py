@@ -24,7 +24,7 @@ from minidual.show.figures.modes import draw_modes
 from minidual.show.watch import StackNarrator, watched
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.supervised import trial_supervisor
-from minidual.stages.config_checks import check_carry
+from minidual.stages.config_checks import check_together
 from minidual.stages.modes_film import Shot, frames_of, shots_of
 from minidual.stages.modes_place import ModesPlace, modes_place
 from minidual.tasks.catalogue import make_task, task_config
@@ -42,7 +42,7 @@ def modes(context: ToolContext) -> ToolResult:
 
     Exit 1 if a switch exceeds a bound or the demonstration ends early.
     """
-    check_carry(context.config)
+    check_together(context.config)
     context = replace(context, config=task_config(context.config))
     config = context.config
     typed_modes = context.options.get("modes")
