@@ -85,6 +85,7 @@ class FreeLead:
         self._mirror = Mirror(leader, stack.plant.robot, config)
         self._seat = Seat(self._mirror, station, config, lambda: None)
         self._rate_hz = config.rate_hz
+        self._began_s = 0.0
 
     def run(self, trial: Trial, seconds: float) -> Led:
         """Wait for the leader, follow it, and bring the arms to rest.
@@ -134,6 +135,7 @@ class FreeLead:
                 raise HandoverError(f"the arms were not given: the arbiter is {stack.state}")
 
     def _drive(self, led: Led, ticks_n: int) -> None:
+        self._began_s = self._plant.time
         self._seat.start_clock()
         for k in range(ticks_n):
             button = self._seat.wait_for_tick(k)
@@ -171,7 +173,7 @@ class FreeLead:
                 stack.advance()
             if stack.reflex is not None:
                 return
-        self._feed_back(time_s, q, gripper)
+        self._feed_back(time_s - self._began_s, q, gripper)
 
     def _feed_back(self, stamp_s: float, q: Array, gripper: Array) -> None:
         supervisor = self._stack.supervisor
