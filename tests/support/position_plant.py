@@ -25,7 +25,6 @@ class Follower:
         self.robot = robot
         self.dt = dt
         self.grip_max_n = 70.0
-        self.speed_share = 1.0
         self.calls: list[str] = []
         self.targets: list[Array] = [robot.home.copy()]
         self.stuck = np.zeros(robot.dof, dtype=bool)

@@ -15,7 +15,7 @@ from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import pose, rot_z
 from minidual.tasks.judge import Judge, begin
 from minidual.tasks.task import Task, Trial
-from minidual.trials import runner
+from minidual.trials import site
 from minidual.trials.conditions import CLEAN, condition
 from minidual.trials.methods import METHODS
 from minidual.trials.runner import Bench, Judged
@@ -180,7 +180,7 @@ def test_trials_of_object_impedance_must_squeeze_and_others_need_not(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     judges: list[Judge] = []
-    monkeypatch.setattr(runner, "begin", lambda *given: judges.append(begin(*given)) or judges[-1])
+    monkeypatch.setattr(site, "begin", lambda *given: judges.append(begin(*given)) or judges[-1])
     _run(world, trial, method, steps=2)
     assert judges[0].failures == {}
     x, y, yaw = trial.start["rod"]

@@ -20,7 +20,7 @@ from minidual.control.measurement import Measurement
 from minidual.control.stack_state import StackState
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
-from minidual.plant.lifecycle import speed_share
+from minidual.plant.lifecycle import braking_share
 from minidual.plant.protocol import Plant
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
@@ -58,9 +58,10 @@ class ControlStack[P: Plant](StackState):
         self.plant: Final = plant
         self.kinematics = kinematics
         self._robot = kinematics.robot
-        self._config = ArbiterConfig() if config is None else config
-        self._speed_max = speed_share(plant)
-        self._speed = min(self._config.speed_override, self._speed_max)
+        config = ArbiterConfig() if config is None else config
+        settle_s = config.settle_timeout_s / braking_share(plant)
+        self._config = config.model_copy(update={"settle_timeout_s": settle_s})
+        self._speed = self._config.speed_override
         self.every = _steps_per_tick(rate_hz, plant.dt)
         if supervisor is None:
             own = Kinematics(self._robot)

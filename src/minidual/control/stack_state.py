@@ -28,7 +28,6 @@ class StackState:
     _pending: bool
     _countdown: int
     _speed: float
-    _speed_max: float
     _due: bool
     arbiter: CommandArbiter
     refusals: list[Refusal]
@@ -108,7 +107,7 @@ class StackState:
 
     @property
     def speed_override(self) -> float:
-        """Share of full speed, 0.1 to what the plant takes (at most 1), also in motion.
+        """Share of full speed, 0.1 to 1, also in motion.
 
         Raises:
             UsageError: When set outside its range.
@@ -120,6 +119,6 @@ class StackState:
         if not SPEED_OVERRIDE_MIN <= share <= 1.0:
             bounds = f"it may be {SPEED_OVERRIDE_MIN} to 1.0"
             raise UsageError(f"a speed override of {share} is refused; {bounds}")
-        self._speed = min(float(share), self._speed_max)
+        self._speed = float(share)
         self.arbiter.speed = self._speed
         self._due = True

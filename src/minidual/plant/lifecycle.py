@@ -95,9 +95,9 @@ def runs_on(plant: object) -> bool:
     return hasattr(plant, "catch_up")
 
 
-def speed_share(plant: object) -> float:
-    """Return the share of full speed at which a plant follows motions within the arms' limits."""
-    return float(getattr(plant, "speed_share", 1.0))
+def braking_share(plant: object) -> float:
+    """Return at which share of the arms' acceleration a plant brakes; it takes longer to rest."""
+    return float(getattr(plant, "braking_share", 1.0))
 
 
 def catch_up(plant: Any) -> None:
@@ -110,7 +110,7 @@ class Connection:
     """Life cycle of one plant: connect, activate, ask, recover, close.
 
     A plant may have `connect()`, `activate(kind)`, `stamps_s`, `healths`, `sent`, `recover()`,
-    `close()`, `kinds`, `place`, `speed_share`, `catch_up()` and `twin()`. What it lacks has a
+    `close()`, `kinds`, `place`, `braking_share`, `catch_up()` and `twin()`. What it lacks has a
     default.
 
     Attributes:

@@ -200,6 +200,21 @@ def group_of(arms: Collection[str]) -> str:
 DUAL_PANDA = Robot(PANDA)
 
 
+def slower_robot(robot: Robot, velocity_share: float, acceleration_share: float) -> Robot:
+    """Return the same arms with a share of their velocity, and of their acceleration and jerk."""
+
+    def slower(arm: ArmModel) -> ArmModel:
+        return dataclasses.replace(
+            arm,
+            v_max=tuple(velocity_share * v for v in arm.v_max),
+            a_max=tuple(acceleration_share * a for a in arm.a_max),
+            jerk_max=tuple(acceleration_share * jerk for jerk in arm.jerk_max),
+        )
+
+    left, right = robot.arms
+    return Robot(slower(left), None if right is left else slower(right))
+
+
 def robot_from(config: RobotConfig) -> Robot:
     """Return the configured robot.
 

@@ -37,7 +37,7 @@ def bring_home(link: Connection, config: Config, planner: Planner, seed: int) ->
     drive.begin()
     drive.openings[:] = 1.0
     drive.hold(_OPENING_S)
-    step_s = link.plant.dt * drive.stack.speed_override
+    step_s = link.plant.dt * drive.speed
     for (start, motion), group in zip(motions, _GROUPS, strict=False):
         drive.follow(_postures(motion, start, robot.groups[group], step_s))
     drive.move(robot.home)

@@ -47,8 +47,9 @@ def lead(context: ToolContext) -> ToolResult:
     kind = LEADERS[config.teleop.leader]
     if kind.usage:
         context.progress.note(kind.usage)
-    robot = robot_from(config.robot)
-    with ExitStack() as stack, connection(config.plant, robot, config.scene) as link:
+    arms = robot_from(config.robot)
+    with ExitStack() as stack, connection(config.plant, arms, config.scene) as link:
+        robot = link.plant.robot
         station = _station(context, kind, stack)
         setup = LeaderSetup(robot, make_task(config), config.teleop, context.seed, station)
         leader = kind.connect(setup)

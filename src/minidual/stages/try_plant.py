@@ -114,7 +114,7 @@ def drive_unscored(
     poses = {name: pose_of(task.objects[name].body, start) for name, start in trial.start.items()}
     senses = ToldSenses(link.address, plant, poses)
     factory = METHODS[method].factory(
-        inputs.of(method)._replace(config=config, senses=senses, dt_s=plant.dt),
+        inputs.of(method)._replace(config=config, senses=senses, plant=plant),
     )
     running = factory(plant, Kinematics(plant.robot), trial)
     began_s = plant.time

@@ -13,7 +13,7 @@ from minidual.plant.protocol import ObjectSensors, Plant
 from minidual.policies.facts import Place
 from minidual.policies.pilot import PolicyPilot, load_runtime
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES, Array, robot_from
+from minidual.robot.pair import SIDES, Array
 from minidual.skills.compliant_carry import CompliantCarry
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.pipeline.drive import Drive
@@ -37,7 +37,7 @@ def _supervisor(inputs: MethodInputs) -> Supervisor:
     return trial_supervisor(
         config.supervisor,
         inputs.period_s,
-        robot_from(config.robot),
+        inputs.robot,
         shapes=[thing_of(_object_in(side, task)).shape for side in SIDES],
     )
 
@@ -76,7 +76,7 @@ def impedance(inputs: MethodInputs) -> Factory:
 def _plans(inputs: MethodInputs, task: Task, kind: type[PlannedCarry] = PlannedCarry) -> _Plan:
     config = inputs.config
     supervisor = _supervisor(inputs)
-    planner = Planner(config=config.plan.planner, robot=robot_from(config.robot))
+    planner = Planner(config=config.plan.planner, robot=inputs.robot)
 
     def plan(
         plant: Plant,
@@ -160,7 +160,7 @@ def policy(inputs: MethodInputs) -> Factory:
     if inputs.checkpoint is None:
         raise UsageError("a learned method needs a checkpoint", remedy="minidual train-act")
     config = inputs.config
-    robot = robot_from(config.robot)
+    robot = inputs.robot
     pictures = config.scene.camera
     place = Place((pictures.height_px, pictures.width_px), config.teleop.rate_hz)
     runtime = load_runtime(inputs.checkpoint, config.deploy, robot, place)

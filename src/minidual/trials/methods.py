@@ -18,6 +18,7 @@ from minidual.errors import UsageError
 from minidual.plant.lifecycle import CommandKind
 from minidual.policies.rl.lesson import LESSONS, title_of
 from minidual.registry import Deferred, Registry
+from minidual.robot.pair import Robot, robot_from
 from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.task import Task, Trial
 from minidual.trials.trainer import Trainer
@@ -76,7 +77,7 @@ class MethodInputs(NamedTuple):
         trained: The task of the checkpoint, empty for any.
         policies: {learned method: its policy}, where several run; `of` chooses.
         senses: Of objects and pictures, where the trials take place.
-        dt_s: Control period there; None: that of the simulator.
+        plant: What is driven there; None: the simulator.
     """
 
     config: Config
@@ -85,12 +86,18 @@ class MethodInputs(NamedTuple):
     trained: str = ""
     policies: Mapping[str, TrainedPolicy] = MappingProxyType({})
     senses: Senses | None = None
-    dt_s: float | None = None
+    plant: Plant | None = None
 
     @property
     def period_s(self) -> float:
         """Control period."""
-        return self.config.scene.physics.timestep_s if self.dt_s is None else self.dt_s
+        timestep_s = self.config.scene.physics.timestep_s
+        return timestep_s if self.plant is None else self.plant.dt
+
+    @property
+    def robot(self) -> Robot:
+        """The arms, with the limits that the plant allows."""
+        return robot_from(self.config.robot) if self.plant is None else self.plant.robot
 
     @property
     def sensed(self) -> Senses:

@@ -109,12 +109,12 @@ class Bench:
         self.site = site
         self.plant = site.plant
         self.world = site.world
-        self.kinematics = Kinematics(robot)
+        self.kinematics = Kinematics(site.plant.robot)
         self.hands = Hands(self.kinematics)
         self.inputs = inputs._replace(
             config=self.task.config,
             senses=site.senses,
-            dt_s=site.plant.dt,
+            plant=site.plant,
         )
         self.factory = self.spec.factory(self.inputs)
 

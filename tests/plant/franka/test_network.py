@@ -189,7 +189,7 @@ def test_what_both_hands_hold_is_not_torn_when_one_arm_loses_its_cable(
     site = PlantSite(link, task.config, 1)
     trial = task.trial(1, "torn", 0)
     site.begin(task, trial, ())
-    inputs = MethodInputs(task.config, 1, senses=site.senses, dt_s=link.plant.dt)
+    inputs = MethodInputs(task.config, 1, senses=site.senses, plant=link.plant)
     carry = METHODS["moveit"].factory(inputs)(link.plant, Kinematics(), trial)
     rod = site.world.truth()
     began_s = link.plant.time

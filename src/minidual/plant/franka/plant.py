@@ -1,6 +1,5 @@
 """Two Franka arms as a plant: joint targets out, stamped states in, errors by name."""
 
-import math
 import time
 from typing import ClassVar
 
@@ -12,7 +11,7 @@ from minidual.plant.franka.link import ArmLink, HandLink, client_library
 from minidual.plant.franka.twin import EmulatorTwin
 from minidual.plant.franka.wire import JOINTS_N
 from minidual.plant.lifecycle import ArmHealth, CommandKind, Sent
-from minidual.robot.pair import SIDES, Array
+from minidual.robot.pair import SIDES, Array, slower_robot
 
 _POLL_S = 0.0005
 _SILENT_S = 0.06
@@ -32,6 +31,10 @@ class FrankaPlant:
 
     The plant's clock is the left controller's; a step ends when both have measured again. A
     controller that falls silent leaves its stamp behind, and the supervisor stops both arms.
+
+    Attributes:
+        robot: The arms, with the share of their velocity and acceleration that may be used: what
+            plans and brakes within it can be followed.
     """
 
     kinds = (CommandKind.POSITION,)
@@ -39,15 +42,18 @@ class FrankaPlant:
     why_not: ClassVar[dict[CommandKind, str]] = {CommandKind.TORQUE: WHY_NO_TORQUE}
 
     def __init__(self, request: PlantRequest) -> None:
-        self.robot = request.robot
+        self._arms_model = request.robot
+        self.braking_share = request.config.acceleration_share
+        self.robot = slower_robot(
+            request.robot,
+            request.config.velocity_share,
+            request.config.acceleration_share,
+        )
         self.hosts = request.hosts
         self.grip_max_n = request.config.grip_n  # hands close with this force, no other
         self._scene = request.scene
         self._twin: EmulatorTwin | None = None
         self.dt = 1.0 / request.config.rate_hz
-        # A motion at a share s of its speed has s^2 of its acceleration.
-        acceleration_share = request.config.acceleration_share
-        self.speed_share = min(request.config.velocity_share, math.sqrt(acceleration_share))
         self._config = request.config
         self._arms: list[ArmLink] = []
         self._hands: list[HandLink] = []
@@ -79,7 +85,7 @@ class FrankaPlant:
         client_library()
         try:
             for index, host in enumerate(self.hosts):
-                self._arms.append(ArmLink(host, self.robot, index, self._config))
+                self._arms.append(ArmLink(host, self._arms_model, index, self._config))
             for host in self.hosts:
                 travel_m = self.robot.hand.travel_m
                 self._hands.append(HandLink(host, travel_m, self._config.grip_n))
@@ -96,7 +102,7 @@ class FrankaPlant:
     def twin(self) -> EmulatorTwin | None:
         """Return the emulator's world, None on hardware; from now on steps refresh it."""
         if self._twin is None and self.place == "emulator":
-            self._twin = EmulatorTwin(self.hosts[0], self._scene, self.robot)
+            self._twin = EmulatorTwin(self.hosts[0], self._scene, self._arms_model)
         return self._twin
 
     def activate(self, kind: CommandKind) -> None:

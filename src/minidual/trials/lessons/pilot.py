@@ -24,7 +24,7 @@ from minidual.errors import DataError, UsageError
 from minidual.plant.protocol import Plant, openings_of
 from minidual.policies.rl.network import RlNetwork
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array, Robot, robot_from
+from minidual.robot.pair import Array, Robot
 from minidual.skills.supervised import trial_supervisor
 from minidual.skills.things import thing_of
 from minidual.tasks.catalogue import make_task
@@ -56,7 +56,7 @@ def driver(inputs: MethodInputs, network: RlNetwork) -> Factory:
     """
     config = inputs.config
     task = make_task(config)
-    robot = robot_from(config.robot)
+    robot = inputs.robot
     arms = arms_of(robot)
     _check_fits(network, arms, robot)
     supervisor = trial_supervisor(
