@@ -7,8 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from minidual.control.stack import ControlStack
 from minidual.errors import UsageError
-from minidual.plant.lifecycle import ArmHealth, CommandKind, Connection
+from minidual.plant.lifecycle import ArmHealth, CommandKind, Connection, catch_up, runs_on
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import DUAL_PANDA, slower_robot
 from tests.support.position_plant import Follower
 
 
@@ -63,3 +66,34 @@ def test_a_rate_outside_the_kinds_bounds_is_refused_and_the_plant_is_closed(
     with pytest.raises(UsageError, match=f"at {hz} Hz; position commands come at 50 to 1000 Hz"):
         Connection("mine:Follower", plant).open()
     assert plant.calls[-1] == "close"
+
+
+def test_a_plant_without_a_twin_or_a_clock_of_its_own_says_so() -> None:
+    plant = Follower()
+    assert Connection("mine:Follower", plant).twin() is None
+    assert not runs_on(plant)
+    catch_up(plant)
+    plant.catch_up = lambda: plant.calls.append("catch up")  # type: ignore[attr-defined]
+    assert runs_on(plant)
+    catch_up(plant)
+    assert plant.calls == ["catch up"]
+
+
+def test_switches_wait_longer_for_a_plant_that_brakes_gently() -> None:
+    plant = Follower()
+    usual = ControlStack(plant, Kinematics(plant.robot))
+    plant.braking_share = 0.4  # type: ignore[attr-defined]
+    gentle = ControlStack(plant, Kinematics(plant.robot))
+    usual_s = usual.arbiter.config.settle_timeout_s
+    assert gentle.arbiter.config.settle_timeout_s == pytest.approx(usual_s / 0.4)
+
+
+def test_slower_arms_are_the_same_arms_with_lower_limits() -> None:
+    slow = slower_robot(DUAL_PANDA, 0.8, 0.4)
+    assert np.allclose(slow.v_max, 0.8 * DUAL_PANDA.v_max)
+    assert np.allclose(slow.a_max, 0.4 * DUAL_PANDA.a_max)
+    assert np.allclose(slow.jerk_max, 0.4 * DUAL_PANDA.jerk_max)
+    assert np.array_equal(slow.q_lower, DUAL_PANDA.q_lower)
+    assert slow.name == DUAL_PANDA.name
+    assert slow != DUAL_PANDA
+    assert slow.arms[0] is slow.arms[1]
