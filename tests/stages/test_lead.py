@@ -8,7 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,16 +34,18 @@ def context(tmp_path: Path, settings: dict[str, Any], **options: Any) -> ToolCon
 
 @contextmanager
 def program() -> Iterator[None]:
-    """Send targets 50 times a second: the fourth joints swing, and start is pressed at first."""
+    """Send targets 50 times a second: press start until the session runs, then swing two joints."""
     stop = threading.Event()
 
     def send() -> None:
-        out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        link.settimeout(0.02)
+        elapsed_s = 0.0
         for k in range(100_000):
             if stop.wait(0.02):
                 break
             q = DUAL_PANDA.home.copy()
-            q[[3, 10]] += 0.1 * (1.0 - np.cos(0.05 * max(0, k - 50)))
+            q[[3, 10]] += 0.1 * (1.0 - np.cos(2.0 * elapsed_s))
             message = {
                 "version": 1,
                 "sender": "test",
@@ -51,10 +53,12 @@ def program() -> Iterator[None]:
                 "stamp_s": time.monotonic(),
                 "q": q.tolist(),
                 "openings": [1.0, 1.0],
-                "pressed": ["start"] if k % 10 == 0 and k < 50 else [],
+                "pressed": ["start"] if elapsed_s == 0.0 else [],
             }
-            out.sendto(json.dumps(message).encode(), ("127.0.0.1", PORT))
-        out.close()
+            link.sendto(json.dumps(message).encode(), ("127.0.0.1", PORT))
+            with suppress(OSError):
+                elapsed_s = json.loads(link.recv(65535))["stamp_s"]
+        link.close()
 
     sending = threading.Thread(target=send)
     sending.start()
