@@ -75,6 +75,8 @@ def test_a_program_on_the_network_leads_a_plant_of_another_module(tmp_path: Path
         "teleop.leader": "network",
         "teleop.network.host": "127.0.0.1",
         "teleop.network.port": PORT,
+        "teleop.network.silence_max_s": 10.0,  # a busy machine is no silent program
+        "arbiter.stop_after_s": 60.0,
     }
     tool = context(tmp_path, settings, seconds=3)
     with program():

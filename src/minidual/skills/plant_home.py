@@ -11,6 +11,8 @@ from minidual.skills.plant_drive import PlantDrive
 
 _AT_HOME_RAD = 0.005
 _OPENING_S = 1.0
+_REST_S = 0.4
+"""After an arm's motion, before the other one moves."""
 _GROUPS = ("left_arm", "right_arm")
 
 
@@ -40,6 +42,7 @@ def bring_home(link: Connection, config: Config, planner: Planner, seed: int) ->
     step_s = link.plant.dt * drive.speed
     for (start, motion), group in zip(motions, _GROUPS, strict=False):
         drive.follow(_postures(motion, start, robot.groups[group], step_s))
+        drive.hold(_REST_S)
     drive.move(robot.home)
 
 
