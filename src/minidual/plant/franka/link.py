@@ -2,6 +2,7 @@
 
 import math
 import threading
+import time
 from contextlib import suppress
 from typing import Any
 
@@ -29,6 +30,9 @@ _SPEED_SHARE = 0.95
 _PATIENCE_PERIODS = 2.0
 """So long an arm keeps its velocity without a new target."""
 _HOLD_MS = 3_600_000
+_CLOSING_S = 10.0
+_KEPT: list[Any] = []
+"""Arms that did not end their motion in time: to destroy one waits for its end without end."""
 
 
 def client_library() -> Any:
@@ -184,6 +188,20 @@ class ArmLink:
             self._robot.join_motion(1.0)
         except Exception as error:
             self._note(error)
+
+    def close(self) -> None:
+        """Stop, and wait until the motion has ended."""
+        self._stopped = False
+        self.stop()
+        give_up_s = time.monotonic() + _CLOSING_S
+        ended = False
+        while not ended and time.monotonic() < give_up_s:
+            try:
+                ended = self._robot.join_motion(1.0)
+            except Exception:  # the motion's own: it has ended
+                ended = True
+        if not ended:
+            _KEPT.append(self._robot)
 
     def soften(self, share: float) -> None:
         """Set the stiffness of the controller's joints to a share of its default."""

@@ -240,7 +240,7 @@ class FrankaPlant:
     def close(self) -> None:
         """Stop both arms, and let go of the hands."""
         for arm in self._arms:
-            arm.stop()
+            arm.close()
         for hand in self._hands:
             hand.close()
         self._hands = []
