@@ -76,6 +76,7 @@ def run(
         TASK,
         trial,
         index,
+        poses=true_poses(world, TASK),
     )
     return drive(world, judge, carry), carry
 
