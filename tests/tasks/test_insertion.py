@@ -31,6 +31,7 @@ from minidual.tasks.judge import Judge, Outcome, begin
 from minidual.tasks.task import Step, Trial, placement, pose_of
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
+from tests.support.carries import true_poses
 
 TASK = make_task(Config(task="insertion"))
 DRAWS = [TASK.trial(2, "draws", k) for k in range(256)]
@@ -653,7 +654,14 @@ def test_with_the_left_arm_frozen_the_right_one_wins_nothing(kind: type[PlannedC
     task = dataclasses.replace(TASK, arrange=None, steps=tuple(steps))
     world = World(TASK.scene)
     judge = begin(world, TASK, trial)
-    carry = kind(ControlStack(world, Kinematics()), Planner(), task, trial, 1)
+    carry = kind(
+        ControlStack(world, Kinematics()),
+        Planner(),
+        task,
+        trial,
+        1,
+        poses=true_poses(world, task),
+    )
     assert carry.solution is not None
     while not carry.done and world.time < TASK.time_limit_s:
         carry.step()

@@ -30,6 +30,7 @@ from minidual.tasks.sort import bin_of, side_of
 from minidual.tasks.task import Step, Task, Trial, pose_of
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
+from tests.support.carries import true_poses
 
 TASK = make_task(Config(task="sort"))
 MARKS = {mark.name: mark for mark in TASK.scene.marks}
@@ -498,7 +499,14 @@ def test_with_one_arm_frozen_it_sorts_half_at_most(arm: str, kind: type[PlannedC
     world = World(TASK.scene)
     judge = begin(world, TASK, trial)
     own = one_armed(arm, *(name for name in TASK.objects if side_of(name) == arm))
-    carry = kind(ControlStack(world, Kinematics()), Planner(), own, trial, 1)
+    carry = kind(
+        ControlStack(world, Kinematics()),
+        Planner(),
+        own,
+        trial,
+        1,
+        poses=true_poses(world, own),
+    )
     while not carry.done and world.time < TASK.time_limit_s:
         carry.step()
         judge.observe(world)
