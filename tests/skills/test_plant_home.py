@@ -7,13 +7,13 @@ import numpy as np
 from minidual.config.root import Config
 from minidual.motion.api import Planner
 from minidual.plant.lifecycle import Connection
-from minidual.robot.pair import DUAL_PANDA, slower_robot
+from minidual.robot.pair import DUAL_PANDA
 from minidual.skills.plant_home import bring_home
-from tests.support.position_plant import Follower
+from tests.support.position_plant import Follower, gentle
 
 
 def test_arms_that_are_elsewhere_come_home_with_open_hands() -> None:
-    plant = Follower(slower_robot(DUAL_PANDA, 0.8, 0.3))
+    plant = gentle(DUAL_PANDA)
     plant._q = plant._last = plant._target = DUAL_PANDA.home + 0.25
     plant.targets = [plant._q.copy()]
     plant.faults[0] = ("joint_reflex",)

@@ -6,7 +6,7 @@ import numpy as np
 
 from minidual.plant.lifecycle import ArmHealth, CommandKind, Sent
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import DUAL_PANDA, Array, Robot
+from minidual.robot.pair import DUAL_PANDA, Array, Robot, slower_robot
 
 
 class Follower:
@@ -123,3 +123,8 @@ class Follower:
             wanted = np.concatenate([wanted[n:], wanted[:n]])
         self._q = np.where(self.stuck, self._q, wanted) + self.sag_rad_s * self.dt
         self._ticks += 1
+
+
+def gentle(robot: Robot) -> Follower:
+    """Return arms whose steps of 20 ms are small beside what their velocity says."""
+    return Follower(slower_robot(robot, 0.8, 0.3))

@@ -346,7 +346,7 @@ def test_a_demonstration_that_ends_early_leaves_its_log_and_exits_1(
 def test_on_a_plant_without_cameras_signals_are_drawn_and_the_policy_is_refused(
     tmp_path: Path,
 ) -> None:
-    arms = {"plant.address": "tests.support.position_plant:Follower"}
+    arms = {"plant.address": "tests.support.position_plant:gentle"}
     context = _context(tmp_path, modes="moveit,teleop,moveit")
     context = replace(context, config=changed(context.config, arms))
     result = modes(context)
