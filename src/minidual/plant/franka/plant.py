@@ -15,7 +15,7 @@ from minidual.robot.pair import SIDES, Array, slower_robot
 
 _POLL_S = 0.0005
 _SILENT_S = 0.06
-_SILENT_EMULATOR_S = 1.0
+_SILENT_EMULATOR_S = 10.0
 """So long a step waits for the next state; an emulator on a busy machine is slower."""
 _SKEW_GAIN = 1e-4
 """Share of the difference of the controllers' clocks that a step takes for drift."""
@@ -207,11 +207,14 @@ class FrankaPlant:
         due_s = self.time + self.dt
         patient_until_s = time.perf_counter() + self.dt + self._silent_s
         left, right = self._arms
+        faults = [arm.fault for arm in self._arms]
         while True:
             for arm in self._arms:
                 arm.read()
             if self.stamp_s >= due_s - 1e-9:
                 break
+            if [arm.fault for arm in self._arms] != faults:
+                break  # a connection that is lost brings no more states
             if time.perf_counter() > patient_until_s:
                 break
             time.sleep(_POLL_S)
