@@ -82,7 +82,7 @@ def test_a_plant_without_a_twin_or_a_clock_of_its_own_says_so() -> None:
 def test_switches_wait_longer_for_a_plant_that_brakes_gently() -> None:
     plant = Follower()
     usual = ControlStack(plant, Kinematics(plant.robot))
-    plant.braking_share = 0.4  # type: ignore[attr-defined]
+    plant.braking_share = 0.4
     gentle = ControlStack(plant, Kinematics(plant.robot))
     usual_s = usual.arbiter.config.settle_timeout_s
     assert gentle.arbiter.config.settle_timeout_s == pytest.approx(usual_s / 0.4)

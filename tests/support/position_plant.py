@@ -25,6 +25,7 @@ class Follower:
         self.robot = robot
         self.dt = dt
         self.grip_max_n = 70.0
+        self.braking_share = 1.0
         self.calls: list[str] = []
         self.targets: list[Array] = [robot.home.copy()]
         self.stuck = np.zeros(robot.dof, dtype=bool)
@@ -127,4 +128,6 @@ class Follower:
 
 def gentle(robot: Robot) -> Follower:
     """Return arms whose steps of 20 ms are small beside what their velocity says."""
-    return Follower(slower_robot(robot, 0.8, 0.3))
+    plant = Follower(slower_robot(robot, 0.8, 0.3))
+    plant.braking_share = 0.3
+    return plant
