@@ -1,15 +1,19 @@
 """Bring the arms of any plant home, by planned motions."""
 
+from contextlib import suppress
+
 import numpy as np
 
 from minidual.config.root import Config
+from minidual.control.reflexes import ReflexError
 from minidual.motion.api import Planner
 from minidual.plant.lifecycle import Connection
 from minidual.robot.pair import Array
 from minidual.robot.trajectory import Trajectory
-from minidual.skills.plant_drive import PlantDrive
+from minidual.skills.plant_drive import DriveError, PlantDrive
 
 _AT_HOME_RAD = 0.005
+_TRIES = 3
 _OPENING_S = 1.0
 _REST_S = 0.4
 """After an arm's motion, before the other one moves."""
@@ -17,17 +21,32 @@ _GROUPS = ("left_arm", "right_arm")
 
 
 def bring_home(link: Connection, config: Config, planner: Planner, seed: int) -> None:
-    """Clear errors, open the hands, and move one arm after the other home.
+    """Clear errors, open the hands, and move one arm after the other home; a stop is tried again.
 
     Raises:
         PlanningError: There is no way.
         ReflexError, DriveError: The plant did not get there.
         UsageError: The plant reports a fault that it cannot clear.
     """
-    if link.plant.health:
-        link.recover()
-    robot = link.plant.robot
-    q = link.plant.q
+    for tries_left in reversed(range(_TRIES)):
+        if link.plant.health:
+            link.recover()
+        drive = PlantDrive(link, config, config.arbiter.speed_override, source="moveit")
+        try:
+            _drive_home(drive, planner, seed)
+        except (ReflexError, DriveError):
+            if not tries_left:
+                raise
+            while drive.stack.stopping:
+                with suppress(ReflexError):
+                    drive.stack.step()
+        else:
+            return
+
+
+def _drive_home(drive: PlantDrive, planner: Planner, seed: int) -> None:
+    robot = drive.robot
+    q = drive.q.copy()
     motions: list[tuple[Array, Trajectory]] = []
     if float(np.abs(q - robot.home).max()) > _AT_HOME_RAD:
         for group in _GROUPS:
@@ -35,11 +54,11 @@ def bring_home(link: Connection, config: Config, planner: Planner, seed: int) ->
             result = planner.plan_to_joints(group, q, robot.home[joints], seed=seed)
             motions.append((q.copy(), result.trajectory))
             q[joints] = robot.home[joints]
-    drive = PlantDrive(link, config, config.arbiter.speed_override, source="moveit")
+    drive.stack.reset()  # the plans took time, which may go on meanwhile
     drive.begin()
     drive.openings[:] = 1.0
     drive.hold(_OPENING_S)
-    step_s = link.plant.dt * drive.speed
+    step_s = drive.plant.dt * drive.speed
     for (start, motion), group in zip(motions, _GROUPS, strict=False):
         drive.follow(_postures(motion, start, robot.groups[group], step_s))
         drive.hold(_REST_S)
