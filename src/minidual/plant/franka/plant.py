@@ -14,6 +14,8 @@ from minidual.plant.lifecycle import ArmHealth, CommandKind, Sent
 from minidual.robot.pair import SIDES, Array, slower_robot
 
 _POLL_S = 0.0005
+_POLL_EMULATOR_S = 0.002
+"""Between two looks for a new state; an emulator needs the processor that looking takes."""
 _SILENT_S = 0.06
 _SILENT_EMULATOR_S = 10.0
 """So long a step waits for the next state; an emulator on a busy machine is slower."""
@@ -62,6 +64,7 @@ class FrankaPlant:
         self._skew_s = 0.0
         self.sent: Sent | None = None
         self._silent_s = _SILENT_S
+        self._poll_s = _POLL_S
 
     def connect(self) -> None:
         """Connect both arms, then both hands.
@@ -95,6 +98,7 @@ class FrankaPlant:
         if any(arm.emulated for arm in self._arms):
             self.place = "emulator"
             self._silent_s = _SILENT_EMULATOR_S
+            self._poll_s = _POLL_EMULATOR_S
         left, right = self._arms
         self.time = left.time_s
         self._skew_s = right.time_s - left.time_s
@@ -217,7 +221,7 @@ class FrankaPlant:
                 break  # a connection that is lost brings no more states
             if time.perf_counter() > patient_until_s:
                 break
-            time.sleep(_POLL_S)
+            time.sleep(self._poll_s)
         self.time = max(due_s, self.stamp_s)
         drift_s = right.time_s - left.time_s - self._skew_s
         self._skew_s += _SKEW_GAIN * drift_s
