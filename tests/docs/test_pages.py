@@ -22,7 +22,7 @@ PAGES = sorted(
 )
 WORDS_MAX = 1600
 """Of one page; a page that needs more has two jobs."""
-WORDS_ALL_MAX = 56_000
+WORDS_ALL_MAX = 57_000
 """Of all pages in docs/ together, counted as `wc -w` does: about 36,500 for the eight stages, and one
 page for each further thing that a person can do (leaders, reinforcement learning, other arms,
 data and policies of others, ROS 2). A new page cuts what it repeats."""
