@@ -87,7 +87,8 @@ def test_the_first_start_of_all_methods_is_filmed_side_by_side(
     taken: list[tuple[str, int, str]] = []
     filmed: list[tuple[int, str]] = []
 
-    def take(method: str, inputs: Any, trial: Any, *, condition: str) -> str:
+    def take(method: str, inputs: Any, trial: Any, *, condition: str, site: Any) -> str:
+        assert site is None
         taken.append((method, trial.index, condition))
         return method
 
