@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from minidual.config.root import Config
 from minidual.motion.api import Planner
 from minidual.plant.lifecycle import Connection
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA
-from minidual.skills.plant_home import bring_home
+from minidual.skills.plant_home import bring_home, lifted
 from tests.support.position_plant import Follower, gentle
 
 
@@ -34,3 +36,25 @@ def test_arms_at_home_only_open_their_hands() -> None:
     plant = Follower()
     bring_home(Connection("tests:arms", plant).open(), Config(), Planner(), 1)
     assert np.abs(np.array(plant.targets) - DUAL_PANDA.home).max() < 1e-3
+
+
+def test_hands_at_the_table_go_straight_up_first() -> None:
+    kinematics = Kinematics()
+    low = np.concatenate(DUAL_PANDA.arm.postures["ready"])
+    for _ in range(30):
+        for arm in range(2):
+            own = DUAL_PANDA.joints_of(arm)
+            J = kinematics.tcp_jacobians(low)[arm][:, own]
+            low[own] += np.linalg.pinv(J) @ [0.0, 0.0, -0.008, 0.0, 0.0, 0.0]
+    before = kinematics.tcp_poses(low)
+    assert before[0][2, 3] < 0.05
+    after = kinematics.tcp_poses(lifted(kinematics, low))
+    for T, T_up in zip(before, after, strict=True):
+        assert T_up[2, 3] > 0.18
+        assert T_up[:2, 3] == pytest.approx(T[:2, 3], abs=5e-3)
+        assert T_up[:3, :3] == pytest.approx(T[:3, :3], abs=0.02)
+
+
+def test_hands_that_are_high_stay() -> None:
+    kinematics = Kinematics()
+    assert np.array_equal(lifted(kinematics, DUAL_PANDA.home), DUAL_PANDA.home)
