@@ -193,3 +193,21 @@ def test_a_passive_link_makes_none_and_tells_what_it_did() -> None:
     rows = link.rows()
     assert len(rows) == 200
     assert {"left arm leader_j", "right arm drift"} < set(rows[0])
+
+
+def test_what_a_leader_moves_while_time_stands_still_costs_nothing_and_is_no_tick() -> None:
+    hand, link = behind("delay=0ms")
+    met = np.zeros(14)
+    met[0] = -20.0
+    for k in range(20):
+        hand.moved_rad = 0.001 * k
+        tick(link, met)
+    before = link.rows()[-1]
+    for k in range(50):  # a pause
+        hand.moved_rad = 0.02 + 0.002 * k
+        assert link.read(0.4) is not None
+    tick(link)
+    rows = link.rows()
+    assert len(rows) == 21
+    assert rows[-1]["left arm arms_j"] >= before["left arm arms_j"] - 0.05
+    assert rows[-1]["left arm drift"] == pytest.approx(0.0, abs=1e-3)

@@ -49,6 +49,9 @@ class LinkedLeader(Leader):
         leader: Who leads.
         setup: Of the recording; `teleop.link` describes network and link.
 
+    While time stands still, before the start and in a pause, the leader moves and the arms meet
+    nothing: such readings cost no energy and are no ticks.
+
     Attributes:
         ticks: What the link did in this episode.
     """
@@ -118,16 +121,23 @@ class LinkedLeader(Leader):
         place = self._forces.place_of(sample)
         if not np.isfinite(place).all():
             return sample  # is refused and named
+        if self._waits:
+            self._force = np.zeros_like(self._force)
+        self._waits = True
         against = self._link.step(self._led(place, sample.clutch), self._force)
         self._against = against
         openings = self._grips.exchange(sample.openings[None])[0]
-        self._note(now_s)
+        self._latest = self._tick(now_s)
         pressed = self._arrived(sample.pressed)
         sample = replace(sample, openings=openings.copy(), pressed=pressed)
         return self._forces.sample_at(self._link.reference, sample)
 
     def feedback(self, feedback: Feedback) -> None:
         """Keep the arms' force for the link; render what has come back over it."""
+        self._waits = False
+        if self._latest is not None:
+            self.ticks.append(self._latest)
+            self._latest = None
         self._force = self._forces.towards_reference(feedback)
         external_nm = self._forces.torques(self._against, feedback.q)
         self.leader.feedback(feedback._replace(external_nm=-external_nm))
@@ -162,6 +172,9 @@ class LinkedLeader(Leader):
         """The same without."""
         self._coming: deque[tuple[int, Button]] = deque()
         self._k = 0
+        self._waits = True
+        """Whether time has stood still since the last reading: the arms have told nothing."""
+        self._latest: LinkTick | None = None
         self.ticks = []
 
     def _led(self, place: Array, clutch: bool) -> Array:
@@ -182,10 +195,10 @@ class LinkedLeader(Leader):
         self._k += 1
         return tuple(arrived)
 
-    def _note(self, now_s: float) -> None:
+    def _tick(self, now_s: float) -> LinkTick:
         link = self._link
         drift = link.drift[0]
-        tick = LinkTick(
+        return LinkTick(
             time_s=now_s,
             leader_j=link.leader_port.energy.observed[0].copy(),
             arms_j=link.arms_port.energy.observed[0].copy(),
@@ -193,7 +206,6 @@ class LinkedLeader(Leader):
             arms_act=link.arms_port.correction[0].any(axis=-1),
             drift=np.sqrt(power(drift, drift)),
         )
-        self.ticks.append(tick)
 
     @property
     def groups(self) -> tuple[str, ...]:
