@@ -155,7 +155,7 @@ def test_a_torque_past_the_stack_is_noticed(world: World, monkeypatch: pytest.Mo
 
     def and_more(self: ImpedanceCarry) -> None:
         step(self)
-        self.world.command(self.stack.applied + 0.1, np.full(2, 0.04))
+        self.plant.command(self.stack.applied + 0.1, np.full(2, 0.04))
 
     monkeypatch.setattr(ImpedanceCarry, "step", and_more)
     with pytest.raises(AssertionError, match="did not come through the stack"):
