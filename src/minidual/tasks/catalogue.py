@@ -5,7 +5,10 @@ Other distributions add rows through the entry point group `minidual.tasks` (doc
 
 from collections.abc import Callable
 
+from pydantic import ValidationError
+
 from minidual.config.root import Config, changed
+from minidual.errors import UsageError
 from minidual.registry import Registry
 from minidual.tasks.handover import handover
 from minidual.tasks.insertion import insertion
@@ -31,9 +34,17 @@ def make_task(config: Config) -> Task:
     """Return the configured task.
 
     Raises:
-        UsageError: Unknown task or refused value.
+        UsageError: Unknown task, refused value, or values that do not go together in this task.
     """
-    return TASKS[config.task](config)
+    task = TASKS[config.task]
+    try:
+        return task(config)
+    except ValidationError as error:
+        reason = error.errors()[0]["msg"].removeprefix("Value error, ")
+        raise UsageError(
+            f"task '{config.task}' cannot have the values that are set: {reason}",
+            remedy="leave out what was set of scene.object, or choose other tasks",
+        ) from error
 
 
 def tasks_of(config: Config) -> dict[str, Task]:
