@@ -27,6 +27,7 @@ BENCHES: Registry[Bench] = Registry(
         "environments": "scripts.bench.environments:measure",
         "passivity": "scripts.bench.passivity:measure",
         "passivity-arms": "scripts.bench.passivity_arms:measure",
+        "recording": "scripts.bench.recording:measure",
     },
 )
 REPEATS_N = {
@@ -36,6 +37,7 @@ REPEATS_N = {
     "hard": 50,
     "environments": 1500,
     "passivity": 100,
+    "recording": 6,
 }
 _REPEATS_N_DEFAULT = 20
 NOT_REPEATED = ("passivity-arms",)
