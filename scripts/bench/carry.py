@@ -14,6 +14,7 @@ from minidual.config.root import changed
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.measurement import Reader
 from minidual.control.supervisor import Supervisor
+from minidual.plant.simulation import Simulation
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.show.report.bench import BenchRow, BenchTable
@@ -152,7 +153,7 @@ def _step_times(bench: Bench, seed: int) -> tuple[Times, str]:
     times = Times()
     ended_ns = 0
 
-    def on_step(_world: World, method: Method) -> None:
+    def on_step(_world: Simulation, method: Method) -> None:
         nonlocal ended_ns
         if ended_ns:
             times.own.append(elapsed_ns(ended_ns))
