@@ -28,7 +28,7 @@ exec(
 DelayedPlant = _PAGE["DelayedPlant"]
 SEAM = {name for name in vars(Plant) if not name.startswith("_")} | set(Plant.__annotations__)
 
-OPTIONAL = {"kind"}
+OPTIONAL = {"kind", "braking_share"}
 """What a plant may say and has a default."""
 
 
