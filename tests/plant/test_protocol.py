@@ -28,7 +28,7 @@ exec(
 DelayedPlant = _PAGE["DelayedPlant"]
 SEAM = {name for name in vars(Plant) if not name.startswith("_")} | set(Plant.__annotations__)
 
-OPTIONAL = {"kind", "braking_share"}
+OPTIONAL = {"kind", "braking_share", "catch_up"}
 """What a plant may say and has a default."""
 
 
