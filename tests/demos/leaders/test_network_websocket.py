@@ -116,10 +116,10 @@ def test_a_program_that_hangs_up_falls_silent_and_another_one_takes_over(
     with connect(address_of(leader)) as first:
         first.send(message(100))
         read_until(leader, is_at(HOME))
-    read_until(leader, lambda sample: sample is None)
+    assert read_until(leader, lambda sample: sample is None) is None
     with connect(address_of(leader)) as second:
         second.send(message(0, sender="restarted", q=(HOME + 0.1).tolist()))
-        read_until(leader, is_at(HOME + 0.1))
+        assert read_until(leader, is_at(HOME + 0.1)) is not None
 
 
 def test_only_pages_that_are_named_may_lead() -> None:
@@ -165,7 +165,8 @@ def test_a_port_that_is_taken_is_named(leader: NetworkLeader) -> None:
 def test_a_closed_leader_frees_its_port(leader: NetworkLeader) -> None:
     port = unused_port()
     leader_with(port=port).close()
-    socket.create_server(("127.0.0.1", port)).close()
+    with socket.create_server(("127.0.0.1", port)) as listener:
+        assert listener.getsockname()[1] == port
 
 
 def test_the_example_program_records_an_episode_in_which_both_arms_move(tmp_path: Path) -> None:
