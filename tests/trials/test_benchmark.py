@@ -704,7 +704,7 @@ def test_a_trial_says_whether_its_disturbance_took_place_and_by_its_own_name(
         kind = type(
             "Short",
             (type(run),),
-            {"done": property(lambda self: self.world.time >= stops_s - 1e-9)},
+            {"done": property(lambda _: bench.plant.time >= stops_s - 1e-9)},
         )
         run.__class__ = kind
         return run

@@ -87,8 +87,8 @@ TOOL_COMMANDS: dict[str, Command] = {
     "doctor": doctor,
     "view": view,
     "replay": replay,
-    "lead": lead,
     "modes": modes,
+    "lead": lead,
     "bridge": bridge,
 }
 READING = ("status", "explain", "doctor", "report")
