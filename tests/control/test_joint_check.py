@@ -310,7 +310,7 @@ def test_arms_that_stand_under_a_load_are_not_frozen(scene: SceneConfig, rate_hz
         stack.payload.bear(arm, 1.0, at_once=True)
     jacobians = stack.kinematics.tcp_jacobians(HOME)
     plant.pushed = -9.81 * sum(J[2] for J in jacobians)
-    stack._loop.applied = stack.applied - plant.pushed
+    stack._loop.writer.applied = stack.applied - plant.pushed
     assert run(stack, 100) == []
     stack.supervisor.estop()
     assert run(stack, 200) == ["emergency_stop"]

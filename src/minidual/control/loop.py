@@ -4,14 +4,13 @@ read       measurement.Reader       one validated measurement a tick
 estimate   observer, payload        external torques, and what the hands carry
 law        controller_manager       torques of the active controllers
 guard      supervisor.Supervisor    bounds; a reflex that stops the arms
-write      `_write`                 torques and finger targets to the plant
+write      writer.PlantWriter       torques and finger targets to the plant
 
 A plant that takes joint targets gets the controllers' reference, and the reference of the stop after a reflex. Its
 controller makes the torques; the guard compares those that it measures.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -33,9 +32,10 @@ from minidual.control.payload import Payload
 from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import SoftStopController
 from minidual.control.supervisor import Supervisor
+from minidual.control.writer import PlantWriter, Reference
 from minidual.errors import MinidualError, UsageError
-from minidual.plant.lifecycle import CommandKind, catch_up, kind_of
-from minidual.plant.protocol import Plant, PlantEndedError
+from minidual.plant.lifecycle import catch_up
+from minidual.plant.protocol import Plant
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
 
@@ -52,7 +52,7 @@ class ControlLoop:
     """One plant's measurements, controllers, supervisor and hands.
 
     Attributes:
-        applied: Last torques (n,) [Nm] that the plant has taken.
+        writer: Sends what the loop decides to the plant.
         openings: Commanded hand openings (2,); NaN for fingers that stay where they are.
         reflex: Error of the latched reflex, or None.
         on_reflex: Called in the tick of a reflex, before its torques are written.
@@ -86,8 +86,9 @@ class ControlLoop:
             *self.hands,
             SoftStopController(kinematics, dt_s, self.payload),
         ]
-        self._by_position = kind_of(plant) is CommandKind.POSITION
-        if self._by_position:
+        v_max = kinematics.robot.v_max
+        self.writer = PlantWriter(plant, grippers, v_max, self._reference, self.fail)
+        if self.writer.by_position:
             supervisor.observer.leave_contacts_to_plant()
         supervisor.expected = self._expected
         supervisor.bear(self.payload.force_n)
@@ -114,11 +115,10 @@ class ControlLoop:
         """Stops the arms in the next tick."""
         robot = self._kinematics.robot
         self.manager = ControllerManager(self._controllers, self._plant.dt, robot)
-        if self._by_position:
+        if self.writer.by_position:
             compliant = (self.impedance, *self.hands)
             self.manager.forbidden = {law.name: _NEEDS_TORQUE for law in compliant}
-        self._q_sent = measurement.q
-        self._active_sent: tuple[str, ...] = ()
+        self.writer.begin(measurement.q)
         self.impedance.forget()
         self.payload.reset()
         for hand in self.hands:
@@ -128,7 +128,8 @@ class ControlLoop:
         tau = np.asarray(self._plant.tau, dtype=float)
         holding = self.grippers.closed.any() and tau.any() and np.isfinite(tau).all()
         gravity = np.array(self._kinematics.gravity(measurement.q))
-        self.applied = tau.copy() if holding else gravity  # keep the torques that hold an object
+        # The torques that hold an object go on.
+        self.writer.applied = tau.copy() if holding else gravity
 
     def anticipate(self, period_s: float) -> None:
         """See `StackState.anticipate`; targets come with this period."""
@@ -153,7 +154,7 @@ class ControlLoop:
         self.reader.begin(measurement)
         self._measurement = measurement
         self._v_last = measurement.v
-        self._q_sent = measurement.q
+        self.writer.resume(measurement.q)
         self._plant.brake(())
         self.manager.fade_left = 0  # from torques that were never applied
         if self.reflex is not None and self.reflex.reflex.name == "gripper_opened":
@@ -168,6 +169,11 @@ class ControlLoop:
         if not speed < still:
             moving = f"the fastest joint moves at {speed:.3f} rad/s; still is below {still} rad/s"
             raise UsageError(f"{reason} ({moving})", remedy=remedy)
+
+    @property
+    def applied(self) -> Array:
+        """Last torques (n,) [Nm] that the plant has taken, or has measured."""
+        return self.writer.applied
 
     @property
     def measurement(self) -> Measurement:
@@ -216,7 +222,8 @@ class ControlLoop:
         self._advance_executions(executions)
         tau, reflex = self._guard(measurement, self._law(measurement))
         self._v_last = measurement.v
-        self._write(measurement, tau)
+        braking = self.reflex is not None and self.reader.braking_due
+        self.writer.write(measurement, tau, self.openings, braking=braking)
         self._measurement = None
         return reflex
 
@@ -235,7 +242,7 @@ class ControlLoop:
             except Exception as error:
                 self.fail(error)
             else:
-                return self._measured_torques() if self._by_position else tau
+                return self._measured_torques() if self.writer.by_position else tau
         return self.applied
 
     def _measured_torques(self) -> Array:
@@ -273,45 +280,11 @@ class ControlLoop:
         except Exception as failure:
             self.fail(failure)
 
-    def _write(self, measurement: Measurement, tau: Array) -> None:
-        """Send torques and finger targets to the plant, brake what is blind, and let the plant go on."""
-        plant = self._plant
-        try:
-            fingers_m = self.grippers.step(self.openings, measurement.fingers_m, measurement.grip_n)
-        except Exception as error:
-            self.fail(error)
-            fingers_m = self.grippers.targets_m
-        try:
-            if self._by_position:
-                self._send_targets(plant)
-            else:
-                plant.command(tau, fingers_m)
-            self.applied = tau  # only what the plant has taken, or has measured
-            if self.reflex is not None and self.reader.braking_due:
-                plant.brake(measurement.blind_arms)
-        except PlantEndedError:
-            raise
-        except Exception as error:
-            self.fail(error)
-        try:
-            plant.step()  # the arms go on moving, told or not
-        except PlantEndedError:
-            raise
-        except Exception as error:
-            self.fail(error)
-
-    def _send_targets(self, plant: Any) -> None:
-        """Send joint targets with their velocities, which are those of the step from the last ones."""
-        stopped = self.reflex is not None
-        q = self.supervisor.stop_reference if stopped else np.array(self.manager.reference)
-        active = ("reflex",) if stopped else self.manager.active
-        v = (q - self._q_sent) / plant.dt
-        if active != self._active_sent:  # a new reference begins where the arms are
-            v = np.zeros(len(q))
-        v_max = self._kinematics.robot.v_max
-        plant.follow(q, np.clip(v, -v_max, v_max), self.openings)
-        self._q_sent = q
-        self._active_sent = active
+    def _reference(self) -> Reference:
+        """Return where the active controllers, or the stop after a reflex, lead the arms."""
+        if self.reflex is not None:
+            return Reference(self.supervisor.stop_reference, ("reflex",))
+        return Reference(np.array(self.manager.reference), self.manager.active)
 
     def _tell_payload(self) -> None:
         """Let the next controller bear the weight that the object impedance has borne."""
