@@ -10,6 +10,7 @@ from minidual.motion.api import Planner
 from minidual.plant.lifecycle import Connection
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA
+from minidual.skills.plant_drive import DriveError
 from minidual.skills.plant_home import bring_home, lifted
 from tests.support.position_plant import Follower, gentle
 
@@ -36,6 +37,43 @@ def test_arms_at_home_only_open_their_hands() -> None:
     plant = Follower()
     bring_home(Connection("tests:arms", plant).open(), Config(), Planner(), 1)
     assert np.abs(np.array(plant.targets) - DUAL_PANDA.home).max() < 1e-3
+
+
+class Coasting(Follower):
+    """Arms that go on as something else drove them, until the brakes hold them."""
+
+    def __init__(self, speed_rad_s: float, *, brakes_work: bool = True) -> None:
+        super().__init__(gentle(DUAL_PANDA).robot)
+        self.braking_share = 0.3
+        self._coasting = np.full(DUAL_PANDA.dof, speed_rad_s)
+        self._brakes_work = brakes_work
+
+    def step(self) -> None:
+        if self.targets[1:]:
+            super().step()
+            return
+        if self.braked == (0, 1) and self._brakes_work:
+            self._coasting *= 0.5
+        self._last = self._q.copy()
+        self._q = self._q + self._coasting * self.dt
+        self._ticks += 1
+
+
+def test_arms_that_still_move_are_braked_before_they_are_led_home() -> None:
+    plant = Coasting(0.3)
+    for _ in range(2):
+        plant.step()
+    bring_home(Connection("tests:arms", plant).open(), Config(), Planner(), 1)
+    assert plant.braked == ()
+    assert np.abs(plant.q - DUAL_PANDA.home).max() < 0.01
+
+
+def test_arms_that_do_not_come_to_rest_are_not_led() -> None:
+    plant = Coasting(-0.05, brakes_work=False)
+    plant.step()
+    with pytest.raises(DriveError, match=r"left_panda_joint1 still moves at 0\.050 rad/s"):
+        bring_home(Connection("tests:arms", plant).open(), Config(), Planner(), 1)
+    assert plant.targets[1:] == []
 
 
 def test_hands_at_the_table_go_straight_up_first() -> None:

@@ -16,8 +16,9 @@ from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.errors import ExitCode, MinidualError
 from minidual.plant.lifecycle import Connection
+from minidual.plant.protocol import Plant
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import SIDES, Array
 from minidual.skills.supervised import trial_supervisor
 
 _MINIMUM_JERK_PEAK = 1.875  # peak over mean speed of a minimum-jerk motion
@@ -196,6 +197,22 @@ class PlantDrive:
         for _ in range(round(seconds / self.plant.dt)):
             self.step()
 
+    def settle(self) -> None:
+        """Keep the last target until all joints rest.
+
+        Raises:
+            DriveError: They do not come to rest.
+        """
+        end_s = self.plant.time + _REST_MAX_S
+        while not self._is_still:
+            if self.plant.time > end_s:
+                raise DriveError(f"{_moving(self.plant)} {_REST_MAX_S:g} s after its motion")
+            self.step()
+
+    @property
+    def _is_still(self) -> bool:
+        return float(np.abs(self.plant.v).max()) < _STILL_RAD_S
+
     def follow(self, targets: Array) -> Driven:
         """Stream targets (T, n) [rad], one a control step.
 
@@ -230,8 +247,7 @@ class PlantDrive:
             with suppress(ReflexError):
                 self.stack.step()
             self._keep()
-            still = float(np.abs(self.plant.v).max()) < _STILL_RAD_S
-            if still and self.stack.reflex is not None:
+            if self._is_still and self.stack.reflex is not None:
                 return float(self.plant.time - began_s)
         return float("nan")
 
@@ -245,6 +261,28 @@ class PlantDrive:
         self.connection.recover()
         self.stack.recover()
         self.begin()
+
+
+def come_to_rest(plant: Plant) -> None:
+    """Brake the arms of a plant, whatever drove them before, and wait until they rest.
+
+    Raises:
+        DriveError: They do not come to rest.
+    """
+    plant.brake(tuple(range(len(SIDES))))
+    for _ in range(round(_REST_MAX_S / plant.dt)):
+        if float(np.abs(plant.v).max()) < _STILL_RAD_S:
+            plant.brake(())
+            return
+        plant.step()
+    raise DriveError(f"{_moving(plant)} {_REST_MAX_S:g} s after it was braked")
+
+
+def _moving(plant: Plant) -> str:
+    speeds = np.abs(plant.v)
+    joint = int(speeds.argmax())
+    name = plant.robot.joint_names[joint]
+    return f"joint {name} still moves at {speeds[joint]:.3f} rad/s (bound {_STILL_RAD_S}),"
 
 
 def swing(home: Array, amplitudes: Array, frequency_hz: float, times_s: Sequence[float]) -> Array:

@@ -11,7 +11,7 @@ from minidual.plant.lifecycle import Connection
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.trajectory import Trajectory
-from minidual.skills.plant_drive import DriveError, PlantDrive
+from minidual.skills.plant_drive import DriveError, PlantDrive, come_to_rest
 
 _AT_HOME_RAD = 0.005
 _TRIES = 3
@@ -37,6 +37,7 @@ def bring_home(link: Connection, config: Config, planner: Planner, seed: int) ->
     for tries_left in reversed(range(_TRIES)):
         if link.plant.health:
             link.recover()
+        come_to_rest(link.plant)
         drive = PlantDrive(link, config, config.arbiter.speed_override, source="moveit")
         try:
             _drive_home(drive, planner, seed)
@@ -72,6 +73,7 @@ def _drive_home(drive: PlantDrive, planner: Planner, seed: int) -> None:
         drive.follow(_postures(motion, start, robot.groups[group], step_s))
         drive.hold(_REST_S)
     drive.move(robot.home)
+    drive.settle()
 
 
 def lifted(kinematics: Kinematics, q: Array) -> Array:
