@@ -31,6 +31,8 @@ _PATIENCE_PERIODS = 2.0
 """So long an arm keeps its velocity without a new target."""
 _HOLD_MS = 3_600_000
 _CLOSING_S = 10.0
+_RECOVERY_S = 2.0
+_RECOVERY_POLL_S = 0.01
 _KEPT: list[Any] = []
 """Arms that did not end their motion in time: to destroy one waits for its end without end."""
 
@@ -215,14 +217,26 @@ class ArmLink:
         """Clear what the controller can clear."""
         with suppress(Exception):  # the exception of the motion that ended; `read` has noted it
             self._robot.join_motion(1.0)
+        fault = self.fault
+        self.fault = ""
         try:
-            self.fault = ""
-            if self._robot.has_errors and not self._robot.recover_from_errors():
-                self.fault = "the controller refused to recover"
+            if not self._is_clear():
+                self.fault = f"the controller refused to recover from {fault or 'an error'}"
         except Exception as error:
             self._note(error)
         self._stopped = False
         self.read()
+
+    def _is_clear(self) -> bool:
+        """Clear the errors; return whether they are gone, in a state that may come a while later."""
+        if self._robot.has_errors:
+            self._robot.recover_from_errors()
+        give_up_s = time.monotonic() + _RECOVERY_S
+        while self._robot.has_errors:
+            if time.monotonic() > give_up_s:
+                return False
+            time.sleep(_RECOVERY_POLL_S)
+        return True
 
 
 class HandLink:
