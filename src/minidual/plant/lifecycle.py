@@ -13,7 +13,7 @@ import numpy as np
 
 from minidual.errors import UsageError
 from minidual.plant.protocol import Plant
-from minidual.robot.pair import SIDES, Array
+from minidual.robot.pair import SIDES, Array, Robot, slower_robot
 
 if TYPE_CHECKING:  # a plant on a network needs no simulator
     from minidual.plant.twin import Twin
@@ -35,6 +35,7 @@ RATES_HZ: dict[CommandKind, tuple[float, float]] = {
     CommandKind.POSITION: (50.0, 1000.0),
 }
 """Least and largest control rate of each kind."""
+_PLANNED_ACCELERATION_SHARE = 0.5
 
 
 class PositionPlant(Plant, Protocol):
@@ -98,6 +99,18 @@ def runs_on(plant: object) -> bool:
 def braking_share(plant: object) -> float:
     """Return at which share of the arms' acceleration a plant brakes; it takes longer to rest."""
     return float(getattr(plant, "braking_share", 1.0))
+
+
+def planned_robot(plant: Any) -> Robot:
+    """Return the arms of a plant with the limits that plans keep to.
+
+    A stop begins up to two control periods late. Where a plant brakes slowly, plans take half of its
+    acceleration, so that a stop on the way ends before the end of the plan.
+    """
+    robot: Robot = plant.robot
+    if braking_share(plant) == 1.0:
+        return robot
+    return slower_robot(robot, 1.0, _PLANNED_ACCELERATION_SHARE)
 
 
 def catch_up(plant: Any) -> None:

@@ -18,7 +18,7 @@ from minidual.errors import ExitCode, NothingEvaluatedError, UsageError
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.motion.api import Planner
 from minidual.plant.connect import SIMULATOR, connection
-from minidual.plant.lifecycle import Connection
+from minidual.plant.lifecycle import Connection, planned_robot
 from minidual.plant.protocol import Plant
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot, robot_from
@@ -101,7 +101,7 @@ def _lead(
     trial = task.trial(context.seed, "lead", 0)
     if config.plant.address != SIMULATOR:
         context.progress.note("the arms go home")
-        planner = Planner(config=config.plan.planner, robot=plant.robot)
+        planner = Planner(config=config.plan.planner, robot=planned_robot(plant))
         bring_home(link, config, planner, context.seed)
     twin = link.twin()
     if twin is not None:

@@ -15,6 +15,7 @@ from minidual.gate.canonical import dumps
 from minidual.gate.progress import ProgressTask
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.motion.api import Planner
+from minidual.plant.lifecycle import planned_robot
 from minidual.plant.render import write_video
 from minidual.policies.pilot import load_runtime
 from minidual.robot.kinematics import Kinematics
@@ -150,7 +151,7 @@ def _demo(
     )
     if follows_swiftly(config.teleop):  # as the policy's demonstrations were led
         stack.anticipate(rate_hz)
-    planner = Planner(config=config.plan.planner, robot=robot)
+    planner = Planner(config=config.plan.planner, robot=planned_robot(plant))
     operator = ScriptedOperator(config.scene, config.teleop.operator, kinematics=Kinematics(robot))
     turns: list[Turn] = []
     for number, mode in enumerate(names, start=1):

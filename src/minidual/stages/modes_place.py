@@ -9,7 +9,7 @@ from minidual.errors import UsageError
 from minidual.gate.stage import ToolContext
 from minidual.motion.api import Planner
 from minidual.plant.connect import SIMULATOR, connection
-from minidual.plant.lifecycle import Connection
+from minidual.plant.lifecycle import Connection, planned_robot
 from minidual.plant.protocol import Plant
 from minidual.plant.recorder import Recorder
 from minidual.plant.senses import Senses
@@ -94,7 +94,7 @@ def _on_plant(
             "brings none",
             remedy="leave the policy out with --modes moveit,teleop,moveit",
         )
-    planner = Planner(config=config.plan.planner, robot=plant.robot)
+    planner = Planner(config=config.plan.planner, robot=planned_robot(plant))
     context.progress.note("the arms go home")
     bring_home(link, config, planner, context.seed)
     if twin is not None:

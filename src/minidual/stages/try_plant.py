@@ -8,7 +8,7 @@ from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
 from minidual.plant.connect import SIMULATOR, connection
-from minidual.plant.lifecycle import Connection
+from minidual.plant.lifecycle import Connection, planned_robot
 from minidual.plant.senses import ToldSenses
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import robot_from
@@ -110,7 +110,8 @@ def drive_unscored(
     check_takes(method, link)
     plant = link.plant
     config = task.config
-    bring_home(link, config, Planner(config=config.plan.planner, robot=plant.robot), inputs.seed)
+    planner = Planner(config=config.plan.planner, robot=planned_robot(plant))
+    bring_home(link, config, planner, inputs.seed)
     poses = {name: pose_of(task.objects[name].body, start) for name, start in trial.start.items()}
     senses = ToldSenses(link.address, plant, poses)
     factory = METHODS[method].factory(

@@ -76,7 +76,7 @@ def impedance(inputs: MethodInputs) -> Factory:
 def _plans(inputs: MethodInputs, task: Task, kind: type[PlannedCarry] = PlannedCarry) -> _Plan:
     config = inputs.config
     supervisor = _supervisor(inputs)
-    planner = Planner(config=config.plan.planner, robot=inputs.robot)
+    planner = Planner(config=config.plan.planner, robot=inputs.planned_robot)
 
     def plan(
         plant: Plant,

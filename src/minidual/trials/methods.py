@@ -15,7 +15,7 @@ from minidual.config.base import StrictModel
 from minidual.config.methods import RlConfig
 from minidual.config.root import Config, changed
 from minidual.errors import UsageError
-from minidual.plant.lifecycle import CommandKind
+from minidual.plant.lifecycle import CommandKind, planned_robot
 from minidual.policies.rl.lesson import LESSONS, title_of
 from minidual.registry import Deferred, Registry
 from minidual.robot.pair import Robot, robot_from
@@ -98,6 +98,11 @@ class MethodInputs(NamedTuple):
     def robot(self) -> Robot:
         """The arms, with the limits that the plant allows."""
         return robot_from(self.config.robot) if self.plant is None else self.plant.robot
+
+    @property
+    def planned_robot(self) -> Robot:
+        """The arms, with the limits that plans keep to."""
+        return self.robot if self.plant is None else planned_robot(self.plant)
 
     @property
     def sensed(self) -> Senses:

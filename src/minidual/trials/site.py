@@ -9,7 +9,7 @@ from typing import Protocol
 from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
-from minidual.plant.lifecycle import CommandKind, Connection, catch_up
+from minidual.plant.lifecycle import CommandKind, Connection, catch_up, planned_robot
 from minidual.plant.protocol import Plant
 from minidual.plant.senses import Senses
 from minidual.plant.sensing import SimulatedSenses
@@ -84,7 +84,7 @@ class PlantSite:
         self._twin = twin
         self._config = config
         self._seed = seed
-        self._planner = Planner(config=config.plan.planner, robot=link.plant.robot)
+        self._planner = Planner(config=config.plan.planner, robot=planned_robot(link.plant))
         self.world = twin.world
         self.plant: Plant = link.plant
         self.senses: Senses = SimulatedSenses(twin.world, link.plant.dt)
