@@ -9,7 +9,14 @@ import pytest
 
 from minidual.control.stack import ControlStack
 from minidual.errors import UsageError
-from minidual.plant.lifecycle import ArmHealth, CommandKind, Connection, catch_up, runs_on
+from minidual.plant.lifecycle import (
+    ArmHealth,
+    CommandKind,
+    Connection,
+    catch_up,
+    planned_robot,
+    runs_on,
+)
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, slower_robot
 from tests.support.position_plant import Follower
@@ -86,6 +93,14 @@ def test_switches_wait_longer_for_a_plant_that_brakes_gently() -> None:
     gentle = ControlStack(plant, Kinematics(plant.robot))
     usual_s = usual.arbiter.config.settle_timeout_s
     assert gentle.arbiter.config.settle_timeout_s == pytest.approx(usual_s / 0.4)
+
+
+def test_plans_leave_a_plant_that_brakes_gently_room_to_stop() -> None:
+    plant = Follower()
+    assert planned_robot(plant) is plant.robot
+    plant.braking_share = 0.4
+    assert np.allclose(planned_robot(plant).a_max, 0.5 * plant.robot.a_max)
+    assert np.array_equal(planned_robot(plant).v_max, plant.robot.v_max)
 
 
 def test_slower_arms_are_the_same_arms_with_lower_limits() -> None:
