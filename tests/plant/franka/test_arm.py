@@ -32,8 +32,8 @@ def arm() -> ArmController:
 
 def sense(arm: ArmController, **changes: object) -> None:
     values = {
-        "q": arm.q.copy(),
-        "v": arm.v.copy(),
+        "q": arm.desired.q.copy(),
+        "v": arm.desired.v.copy(),
         "tau": np.zeros(7),
         "speed_m_per_s": 0.0,
         "position_m": np.zeros(3),
@@ -66,12 +66,12 @@ def moving(arm: ArmController) -> None:
 def test_a_motion_starts_runs_and_ends(arm: ArmController) -> None:
     started(arm, Generator.JOINT_POSITION)
     arm.command(message(q_c=HOME))
-    assert arm.generator_code == 1
+    assert arm.desired.generator_code == 1
     arm.command(message(q_c=HOME, motion_generation_finished=True))
     assert arm.take_finished() is MoveStatus.SUCCESS
     assert arm.take_finished() is None
     assert arm.mode is RobotMode.IDLE
-    assert arm.generator_code == wire.IDLE_GENERATOR
+    assert arm.desired.generator_code == wire.IDLE_GENERATOR
 
 
 def test_a_second_motion_is_refused_and_so_are_wrong_combinations(arm: ArmController) -> None:
@@ -102,11 +102,11 @@ def test_a_motion_may_not_be_finished_while_it_moves(arm: ArmController) -> None
 
 def test_lost_commands_are_bridged_and_twenty_end_the_motion(arm: ArmController) -> None:
     moving(arm)
-    before = arm.q.copy()
+    before = arm.desired.q.copy()
     for _ in range(LOST_PACKETS_MAX - 1):
         arm.command(None)
     assert arm.mode is RobotMode.MOVE
-    assert arm.q[1] - before[1] == pytest.approx(0.2e-3 * (LOST_PACKETS_MAX - 1), rel=0.05)
+    assert arm.desired.q[1] - before[1] == pytest.approx(0.2e-3 * (LOST_PACKETS_MAX - 1), rel=0.05)
     assert arm.packets.success_rate < 0.85
     arm.command(None)
     assert arm.errors == ("communication_constraints_violation",)
@@ -130,7 +130,7 @@ def test_an_arm_that_is_stopped_brakes_without_a_jump(arm: ArmController) -> Non
     speeds = []
     for _ in range(60):
         arm.command(None)
-        speeds.append(arm.v[1])
+        speeds.append(arm.desired.v[1])
     assert np.abs(np.diff([0.2, *speeds])).max() <= 0.9 * 7.5e-3 + 1e-9
     assert speeds[-1] == 0.0
     assert arm.move(0, 0) is MoveStatus.MOTION_STARTED
@@ -168,10 +168,10 @@ def test_thresholds_while_accelerating_are_others(arm: ArmController) -> None:
         settings[name] = 50.0 if "acceleration" in name else 10.0
     assert arm.set_thresholds(settings) is SetterStatus.SUCCESS
     moving(arm)
-    arm.a = ONE.copy()
+    arm.desired.a = ONE.copy()
     arm.feel(20.0 * ONE, np.zeros(6))
     assert arm.mode is RobotMode.MOVE
-    arm.a = np.zeros(7)
+    arm.desired.a = np.zeros(7)
     arm.feel(np.zeros(7), 20.0 * np.eye(6)[0])
     assert arm.errors == ("cartesian_reflex",)
     settings["upper_force_nominal"] = -1.0
@@ -189,18 +189,18 @@ def test_what_is_measured_is_checked_at_rest_too(arm: ArmController) -> None:
 
 def test_torques_drive_until_they_jump(arm: ArmController) -> None:
     started(arm, Generator.NONE, Controller.EXTERNAL)
-    assert arm.by_torque
+    assert arm.desired.by_torque
     arm.command(message(tau_J_d=0.5 * ONE))
-    assert arm.tau[1] == 0.5
+    assert arm.desired.tau[1] == 0.5
     arm.command(message(tau_J_d=5.0 * ONE))
     assert arm.errors == ("controller_torque_discontinuity",)
-    assert not arm.tau.any()
+    assert not arm.desired.tau.any()
 
 
 def test_poses_and_twists_are_followed_and_refused(arm: ArmController) -> None:
     started(arm, Generator.CARTESIAN_VELOCITY, Controller.CARTESIAN_IMPEDANCE)
     arm.command(message(O_dP_EE_c=0.0005 * np.eye(6)[0]))
-    assert arm.v.any()
+    assert arm.desired.v.any()
     arm.command(message(O_dP_EE_c=2.0 * np.eye(6)[0]))
     assert "cartesian_motion_generator_velocity_limits_violation" in arm.errors
     arm.recover()

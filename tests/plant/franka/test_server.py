@@ -81,7 +81,7 @@ def test_a_motion_moves_the_simulated_arm(client: RawClient, cell: EmulatedCell)
     assert client.move(0, 0) == MoveStatus.MOTION_STARTED
     state = client.state()
     start = state["q_d"].astype(float)
-    start = cell.arms[0].q.copy()
+    start = cell.arms[0].desired.q.copy()
     for k in range(1, 301):
         s = k / 300
         q = start + 0.05 * (35 * s**4 - 84 * s**5 + 70 * s**6 - 20 * s**7) * np.eye(7)[3]
@@ -99,7 +99,7 @@ def test_a_motion_moves_the_simulated_arm(client: RawClient, cell: EmulatedCell)
 
 def test_a_jump_is_answered_and_flagged_by_name(client: RawClient, cell: EmulatedCell) -> None:
     client.move(0, 0)
-    q = cell.arms[0].q + 0.01 * np.eye(7)[0]
+    q = cell.arms[0].desired.q + 0.01 * np.eye(7)[0]
     client.command(client.state(), q_c=q)
     client.server.tick()
     client.server.tick()
@@ -116,7 +116,7 @@ def test_a_jump_is_answered_and_flagged_by_name(client: RawClient, cell: Emulate
 def test_commands_that_answer_an_old_state_are_lost(client: RawClient, cell: EmulatedCell) -> None:
     cell_patience = 25
     client.move(0, 0)
-    q = cell.arms[0].q.copy()
+    q = cell.arms[0].desired.q.copy()
     state = hold(client, 3, q)
     for _ in range(cell_patience):
         client.command(state, q_c=q)  # always the same, old number
@@ -131,7 +131,7 @@ def test_one_arm_in_a_reflex_leaves_the_other_one_to_its_client(
     clients = [RawClient(server, index) for index in (0, 1)]
     for each in clients:
         assert each.move(0, 0) == MoveStatus.MOTION_STARTED
-        each.command(each.state(), q_c=cell.arms[each is clients[1]].q)
+        each.command(each.state(), q_c=cell.arms[each is clients[1]].desired.q)
     clients[0].close()
     for _ in range(3):
         server.tick()
@@ -147,7 +147,7 @@ def test_a_cable_that_is_out_on_one_arm(
     """From 20 lost commands on, that arm stops by name; nothing jumps, the other goes on."""
     server._patience_s = 0.001
     clients = [RawClient(server, index) for index in (0, 1)]
-    homes = [arm.q.copy() for arm in cell.arms]
+    homes = [arm.desired.q.copy() for arm in cell.arms]
     for each in clients:
         assert each.move(0, 0) == MoveStatus.MOTION_STARTED
     steps_rad: list[float] = []
@@ -156,9 +156,11 @@ def test_a_cable_that_is_out_on_one_arm(
             cable_out = index == 0 and 10 <= k < 10 + out_ms
             if not cable_out:
                 each.command(each.state(), q_c=homes[index])
-        before = [arm.q.copy() for arm in cell.arms]
+        before = [arm.desired.q.copy() for arm in cell.arms]
         server.tick()
-        moved = [np.abs(arm.q - old).max() for arm, old in zip(cell.arms, before, strict=True)]
+        moved = [
+            np.abs(arm.desired.q - old).max() for arm, old in zip(cell.arms, before, strict=True)
+        ]
         steps_rad.append(float(max(moved)))
     named = cell.arms[0].last_errors if ends else ()
     assert named == (("communication_constraints_violation",) if ends else ())
@@ -171,7 +173,7 @@ def test_a_cable_that_is_out_on_one_arm(
 
 def test_commands_out_of_order_count_once(client: RawClient, cell: EmulatedCell) -> None:
     client.move(0, 0)
-    q = cell.arms[0].q.copy()
+    q = cell.arms[0].desired.q.copy()
     old = client.state()
     state = hold(client, 5, q)
     client.command(state, q_c=q)
@@ -184,7 +186,7 @@ def test_pressing_the_stop_button_of_the_process_stops_both(
     client: RawClient, cell: EmulatedCell
 ) -> None:
     client.move(0, 0)
-    hold(client, 2, cell.arms[0].q.copy())
+    hold(client, 2, cell.arms[0].desired.q.copy())
     emergency.press("test")
     try:
         client.server.tick()
@@ -207,7 +209,7 @@ def test_settings_are_refused_in_a_motion(client: RawClient, cell: EmulatedCell)
 
 def test_a_hand_that_is_pulled_is_a_collision(client: RawClient, cell: EmulatedCell) -> None:
     client.move(0, 0)
-    q = cell.arms[0].q.copy()
+    q = cell.arms[0].desired.q.copy()
     assert names_of(hold(client, 5, q)["errors"]) == ()
     hand = cell.world.model.body(DUAL_PANDA.tcp_names[0]).id
     cell.world.data.xfrc_applied[hand, 2] = -60.0

@@ -8,20 +8,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from minidual.plant.franka.cartesian_limits import CartesianMotion
+from minidual.plant.franka.desired_motion import ArmSample, DesiredMotion
 from minidual.plant.franka.errors import ERRORS
 from minidual.plant.franka.limits import (
-    DT_S,
     FciLimits,
-    JointMotion,
     MeasuredState,
     PacketWatch,
     Thresholds,
-    TorqueCommands,
     measured_errors,
 )
 from minidual.plant.franka.wire import (
-    IDLE_GENERATOR,
     JOINTS_N,
     Controller,
     Generator,
@@ -36,10 +32,6 @@ from minidual.robot.pair import Array
 
 _START_PATIENCE_TICKS = 500
 """A motion whose first command does not come within this time ends as one that lost packets."""
-_STILL_RAD_S = 1e-3
-_BRAKE_SHARE = 0.9
-_PINV_DAMPING = 1e-3
-_CARTESIAN = (Generator.CARTESIAN_POSITION, Generator.CARTESIAN_VELOCITY)
 
 
 class ArmController:
@@ -54,11 +46,9 @@ class ArmController:
         mode: What it does.
         errors: Names of the present errors.
         last_errors: Names of the errors of the last motion.
-        controller, generator: Of the motion; None where there is none.
-        q, v, a: Desired posture and motion (7,).
-        tau: Desired torques (7,) of an external controller [Nm].
+        desired: The desired motion.
         packets: Commands in time.
-        thresholds: Of contacts and collisions, nominal and while accelerating.
+        accelerating, nominal: Thresholds of contacts and collisions.
         finished: How the last motion ended, until `take_finished`.
     """
 
@@ -73,32 +63,26 @@ class ArmController:
         self.mode = RobotMode.IDLE
         self.errors: tuple[str, ...] = ()
         self.last_errors: tuple[str, ...] = ()
-        self.controller: Controller | None = None
-        self.generator: Generator | None = None
-        self.q = q.copy()
-        self.v = np.zeros(JOINTS_N)
-        self.a = np.zeros(JOINTS_N)
-        self.tau = np.zeros(JOINTS_N)
+        self.desired = DesiredMotion(limits, q)
         self.packets = PacketWatch()
         self.nominal = Thresholds.default()
         self.accelerating = Thresholds.default()
         self.finished: MoveStatus | None = None
-        self._joint: JointMotion | None = None
-        self._pose: CartesianMotion | None = None
-        self._torques = TorqueCommands(limits)
         self._waiting_ticks = 0
         self._commanded = False
-        self._jacobian = np.zeros((6, JOINTS_N))
-        self._T_base_hand = np.eye(4)
-        self._gravity = np.zeros(JOINTS_N)
-        self._measured_q = q.copy()
-        self._measured_v = np.zeros(JOINTS_N)
+        self._sample = ArmSample(
+            q=q.copy(),
+            v=np.zeros(JOINTS_N),
+            T_base_hand=np.eye(4),
+            jacobian=np.zeros((6, JOINTS_N)),
+            gravity=np.zeros(JOINTS_N),
+        )
 
     # Requests ----------------------------------------------------------------------------------
 
     def move(self, controller: int, generator: int) -> MoveStatus:
         """Start a motion, or say why not."""
-        if self.mode is not RobotMode.IDLE or np.abs(self.v).max() > _STILL_RAD_S:
+        if self.mode is not RobotMode.IDLE or not self.desired.is_still:
             return MoveStatus.NOT_POSSIBLE
         try:
             law = Controller(controller)
@@ -108,21 +92,12 @@ class ArmController:
         external = law is Controller.EXTERNAL
         if law is Controller.OTHER or (source is Generator.NONE and not external):
             return MoveStatus.INVALID_ARGUMENT
-        self.controller, self.generator = law, source
+        self.desired.start(law, source, self._sample.T_base_hand)
         self.mode = RobotMode.MOVE
         self.last_errors = ()
         self.packets = PacketWatch()
         self._commanded = False
         self._waiting_ticks = 0
-        self.v = np.zeros(JOINTS_N)
-        self.a = np.zeros(JOINTS_N)
-        self._torques = TorqueCommands(self.limits)
-        after_poses = source in _CARTESIAN
-        prefix = "cartesian_motion_generator" if after_poses else "joint_motion_generator"
-        self._joint = JointMotion(self.limits, self.q, prefix)
-        self._pose = None
-        if after_poses:
-            self._pose = CartesianMotion(self.limits, self._T_base_hand, self.q[2])
         return MoveStatus.MOTION_STARTED
 
     def stop(self) -> StopStatus:
@@ -141,7 +116,7 @@ class ArmController:
             return RecoveryStatus.MANUAL_RECOVERY_REQUIRED
         self.errors = ()
         self.mode = RobotMode.IDLE
-        self.q = self._measured_q.copy()
+        self.desired.q = self._sample.q.copy()
         return RecoveryStatus.SUCCESS
 
     def set_thresholds(self, settings: Record) -> SetterStatus:
@@ -152,7 +127,8 @@ class ArmController:
             return SetterStatus.INVALID_ARGUMENT
         if self.mode is RobotMode.MOVE:
             return SetterStatus.NOT_POSSIBLE
-        self.accelerating, self.nominal = accelerating, nominal
+        self.accelerating = accelerating
+        self.nominal = nominal
         return SetterStatus.SUCCESS
 
     def user_stop(self, *, pressed: bool) -> None:
@@ -175,31 +151,19 @@ class ArmController:
         self.finished = None
         return finished
 
-    @property
-    def by_torque(self) -> bool:
-        """Whether an external controller gives the torques."""
-        return self.mode is RobotMode.MOVE and self.controller is Controller.EXTERNAL
-
-    @property
-    def generator_code(self) -> int:
-        """What the state says of the generator."""
-        if self.mode is not RobotMode.MOVE or self.generator is None:
-            return IDLE_GENERATOR
-        return int(self.generator) + 1
-
     # Every millisecond -------------------------------------------------------------------------
 
     def command(self, command: Record | None) -> None:
         """Take the command of this millisecond, None if none came in time."""
         if self.mode is not RobotMode.MOVE:
-            self._brake()
+            self.desired.brake()
             return
         if command is None:
             self._lose()
             return
         self._commanded = True
         self.packets.tick(came=True)
-        errors = self._apply(command)
+        errors = self.desired.follow(command, self._sample)
         if errors:
             self._reflex(errors)
             return
@@ -215,63 +179,15 @@ class ArmController:
         errors = self.packets.tick(came=False)
         if errors:
             self._reflex(errors)
-        elif self._joint is not None and not self.by_torque:
-            self._joint.extrapolate()
-            self._adopt(self._joint)
-
-    def _apply(self, command: Record) -> list[str]:
-        """Check and follow a command; return the errors."""
-        if self.by_torque:
-            tau = np.array(command["tau_J_d"], dtype=float)
-            errors = self._torques.command(tau, self._gravity, self._measured_v)
-            if not errors:
-                self.tau = tau
-                self.q = self._measured_q.copy()
-            return errors
-        joint = self._joint
-        if joint is None:
-            return []
-        if self.generator is Generator.JOINT_POSITION:
-            errors = joint.target(np.array(command["q_c"], dtype=float))
-        elif self.generator is Generator.JOINT_VELOCITY:
-            errors = joint.velocity(np.array(command["dq_c"], dtype=float))
         else:
-            errors = self._apply_pose(command, joint)
-        if not errors:
-            self._adopt(joint)
-        return errors
-
-    def _apply_pose(self, command: Record, joint: JointMotion) -> list[str]:
-        """Check a pose or a twist, and the joint velocities that follow from it."""
-        motion = self._pose
-        if motion is None:
-            return []
-        if command["valid_elbow"]:
-            position, sign = (float(value) for value in command["elbow_c"])
-            errors = motion.elbow(position, sign, float(np.sign(self.q[3])))
-            if errors:
-                return errors
-        if self.generator is Generator.CARTESIAN_POSITION:
-            pose = np.array(command["O_T_EE_c"], dtype=float).reshape(4, 4).T
-            errors = motion.target(pose)
-        else:
-            errors = motion.velocity(np.array(command["O_dP_EE_c"], dtype=float))
-        if errors:
-            return errors
-        J = self._jacobian
-        square = J @ J.T + _PINV_DAMPING**2 * np.eye(6)
-        return joint.velocity(J.T @ np.linalg.solve(square, motion.twist))
-
-    def _adopt(self, motion: JointMotion) -> None:
-        self.q, self.v, self.a = motion.q.copy(), motion.v.copy(), motion.a.copy()
+            self.desired.bridge()
 
     def _finish(self) -> None:
         """End a motion that its client has finished: its target must be able to stand still."""
-        if self._joint is not None and not self.by_torque:
-            errors = self._joint.target(self._joint.q) if self._joint.v.any() else []
-            if errors:
-                self._reflex(errors)
-                return
+        errors = self.desired.stop_errors()
+        if errors:
+            self._reflex(errors)
+            return
         self._end(MoveStatus.SUCCESS, RobotMode.IDLE)
 
     def _reflex(self, errors: list[str]) -> None:
@@ -279,25 +195,10 @@ class ArmController:
         self._end(MoveStatus.REFLEX_ABORTED, RobotMode.REFLEX)
 
     def _end(self, status: MoveStatus, mode: RobotMode) -> None:
-        if self.by_torque:
-            self.q, self.v = self._measured_q.copy(), self._measured_v.copy()
+        self.desired.end(self._sample)
         self.last_errors = self.errors
         self.finished = status
         self.mode = mode
-        self.controller = None
-        self.generator = None
-        self.tau = np.zeros(JOINTS_N)
-
-    def _brake(self) -> None:
-        """Bring the desired motion to rest."""
-        if not self.v.any():
-            self.a = np.zeros(JOINTS_N)
-            return
-        change = _BRAKE_SHARE * self.limits.a_max * DT_S
-        v = self.v - np.clip(self.v, -change, change)
-        self.a = (v - self.v) / DT_S
-        self.v = v
-        self.q = np.clip(self.q + v * DT_S, self.limits.q_lower, self.limits.q_upper)
 
     def sense(
         self,
@@ -314,8 +215,7 @@ class ArmController:
             jacobian: Of the hand (6, 7), in the base's axes.
             gravity: Torques (7,) that hold the posture [Nm].
         """
-        self._measured_q, self._measured_v = state.q, state.v
-        self._T_base_hand, self._jacobian, self._gravity = T_base_hand, jacobian, gravity
+        self._sample = ArmSample(state.q, state.v, T_base_hand, jacobian, gravity)
         if self.mode in (RobotMode.REFLEX, RobotMode.USER_STOPPED):
             return
         errors = measured_errors(state, self.limits, self._walls)
@@ -326,7 +226,7 @@ class ArmController:
         """Compare external torques (7,) and the hand's external wrench (6,) with the thresholds."""
         if self.mode is not RobotMode.MOVE:
             return
-        moving = bool(np.abs(self.a).max() > 0.1)
+        moving = bool(np.abs(self.desired.a).max() > 0.1)
         thresholds = self.accelerating if moving else self.nominal
         errors = thresholds.collisions(tau_ext, wrench)
         if errors:

@@ -69,25 +69,27 @@ class EmulatedCell:
 
     def _torques(self) -> Array:
         """Return the motor torques (n,) [Nm]: those of external controllers, or the servo's."""
-        q, v = self.world.q, self.world.v
+        q = self.world.q
         arms = self.arms
         tau = self._servo.torque(
             q,
-            v,
-            np.concatenate([arm.q for arm in arms]),
-            np.concatenate([arm.v for arm in arms]),
-            np.concatenate([arm.a for arm in arms]),
+            self.world.v,
+            np.concatenate([arm.desired.q for arm in arms]),
+            np.concatenate([arm.desired.v for arm in arms]),
+            np.concatenate([arm.desired.a for arm in arms]),
         )
         for index, arm in enumerate(arms):
-            if arm.by_torque:
+            if arm.desired.by_torque:
                 joints = self.robot.joints_of(index)
-                tau[joints] = arm.tau + self._servo.gravity(q)[joints]
+                tau[joints] = arm.desired.tau + self._servo.gravity(q)[joints]
         return np.clip(tau, -self.robot.tau_max, self.robot.tau_max)
 
     def _sense(self) -> None:
         """Let the controllers measure."""
         world = self.world
-        q, v, tau = world.q, world.v, world.tau
+        q = world.q
+        v = world.v
+        tau = world.tau
         gravity = self._servo.gravity(q)
         share = 1.0 - np.exp(-DT_S / _FILTER_S)
         for index, arm in enumerate(self.arms):
@@ -150,6 +152,7 @@ class EmulatedCell:
     def arm_state(self, index: int, message_id: int) -> bytes:
         """Return the state of an arm as it is sent."""
         arm = self.arms[index]
+        desired = arm.desired
         joints = self.robot.joints_of(index)
         world = self.world
         q = world.q[joints]
@@ -162,15 +165,16 @@ class EmulatedCell:
         for name in ("elbow", "elbow_d", "elbow_c"):
             state[name] = elbow
         state["tau_J"] = world.tau[joints]
-        state["tau_J_d"] = arm.tau
+        state["tau_J_d"] = desired.tau
         state["q"] = q
         state["theta"] = q
-        state["q_d"] = arm.q
+        state["q_d"] = desired.q
         state["dq"] = world.v[joints]
         state["dtheta"] = state["dq"]
-        state["dq_d"] = arm.v
-        state["ddq_d"] = arm.a
-        external, wrench = self._external[index], self._wrench[index]
+        state["dq_d"] = desired.v
+        state["ddq_d"] = desired.a
+        external = self._external[index]
+        wrench = self._wrench[index]
         state["tau_ext_hat_filtered"] = external
         state["O_F_ext_hat_K"] = wrench
         state["K_F_ext_hat_K"] = wrench
@@ -178,8 +182,9 @@ class EmulatedCell:
         state["joint_collision"] = np.abs(external) > arm.nominal.upper_torque
         state["cartesian_contact"] = np.abs(wrench) > arm.nominal.lower_force
         state["cartesian_collision"] = np.abs(wrench) > arm.nominal.upper_force
-        state["motion_generator_mode"] = arm.generator_code
-        state["controller_mode"] = Controller.OTHER if arm.controller is None else arm.controller
+        state["motion_generator_mode"] = desired.generator_code
+        controller = desired.controller
+        state["controller_mode"] = Controller.OTHER if controller is None else controller
         state["errors"] = arm.flags(arm.errors)
         state["reflex_reason"] = arm.flags(arm.last_errors)
         state["robot_mode"] = arm.mode
