@@ -72,7 +72,7 @@ def test_the_next_trial_begins_in_the_step_in_which_one_ends():
     assert not terminated.any()
     assert info["_final_obs"].tolist() == [True, False]
     assert info["final_info"]["trial"].tolist() == [0, 1]
-    assert [trial.index for trial in env.trials] == [2, 1]
+    assert [trial.index for trial in env.running.trials] == [2, 1]
     assert env.worlds.time_s[0] == 0.0
     assert np.array_equal(info["final_obs"][1], observation[1])
     assert not np.array_equal(info["final_obs"][0], observation[0])
@@ -144,7 +144,7 @@ def test_a_condition_changes_each_world_and_the_offset_of_its_sensor():
     masses = env.worlds._own["body_mass"][:, env.worlds._body]
     assert len(set(masses)) == 2
     assert env.worlds.model.body_mass[env.worlds._body] == pytest.approx(1.0)
-    offset = env._readings.offset
+    offset = env.running.readings.offset
     assert (np.abs(offset[:, :3]) > 0.0).all()
     away = env.sensed.objects[:, 0, :3, 3] - env.worlds.object_poses()[:, :3, 3]
     assert np.abs(away - offset[:, :3]).max() < 0.003

@@ -32,17 +32,16 @@ from gymnasium.vector.utils import batch_space
 from minidual.config.root import Config, changed
 from minidual.environments.actions import ACTIONS, arms_of
 from minidual.environments.draws import Disturbed, Draws
-from minidual.environments.observations import CLIP, LIFT, Seen, Truth, observe, size_of
+from minidual.environments.observations import CLIP, LIFT, Seen, observe, size_of
 from minidual.environments.readings import Readings
 from minidual.environments.referee import Flags, Referee
 from minidual.environments.rewards import LIFT_REWARD, LiftState, Reward, RewardTerm
+from minidual.environments.running import RunningTrials
 from minidual.environments.senses import Sensed
-from minidual.environments.transport_kernel import Scene
 from minidual.environments.worlds import Worlds
 from minidual.errors import UsageError, check_name, unknown_name
 from minidual.robot.pair import SIDES, Array, Indices, robot_from
 from minidual.tasks.catalogue import make_task
-from minidual.tasks.task import Trial, placement
 
 TICK_S = 0.02
 """Period of joint targets, as in trials (50 Hz)."""
@@ -123,7 +122,6 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
             config = changed(config, {"task": task})
         if fast:
             config = fast_physics(config)
-        self._condition = condition
         config = config if condition is None else condition.config_under(config)
         if frozen is not None:
             check_name("arm", frozen, SIDES)
@@ -134,8 +132,13 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         self.frozen = None if frozen is None else SIDES.index(frozen)
         self._end_at_violation = end_at_violation
         self._ticks_n = _ticks(rate_hz)
-        self._make_worlds(threads)
-        self.referee = Referee(self.task, self.worlds, self.trials[0], linger_s, supervised)
+        self.arms = arms_of(robot_from(self.config.robot))
+        self.worlds = self._make_worlds(threads)
+        self._substeps = round(TICK_S / self.worlds.dt)
+        first_trial = self.task.trial(self.draws.seed, self.draws.purpose, 0)
+        self.referee = Referee(self.task, self.worlds, first_trial, linger_s, supervised)
+        readings = Readings(self.worlds, self.config.carry.sensing, self.arms.frames)
+        self.running = RunningTrials(self.draws, first_trial, self.worlds, self.referee, readings)
         self.actions = ACTIONS[action](self.arms, num_envs)
         self.terms = tuple(observation)
         self.privileged = tuple(privileged)
@@ -144,23 +147,15 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         self._all = np.arange(num_envs)
         self._started = False
 
-    def _make_worlds(self, threads: int) -> None:
-        task = self.task
-        robot = robot_from(task.config.robot)
-        self.arms = arms_of(robot)
-        self.worlds = Worlds(
-            task.scene,
-            robot,
+    def _make_worlds(self, threads: int) -> Worlds:
+        return Worlds(
+            self.task.scene,
+            self.arms.robot,
             self.num_envs,
             self.arms.frames,
-            supervisor=task.config.supervisor,
+            supervisor=self.config.supervisor,
             threads=threads,
         )
-        if self._condition is not None:
-            self.worlds.differ()
-        self.trials = [task.trial(self.draws.seed, self.draws.purpose, 0)] * self.num_envs
-        self._readings = Readings(self.worlds, task.config.carry.sensing, self.arms.frames)
-        self._substeps = round(TICK_S / self.worlds.dt)
 
     def _make_spaces(self) -> None:
         size = size_of(self.terms, self.arms.robot)
@@ -195,7 +190,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         self.draws.next_index = options.get("first", self.draws.next_index)
         self._begin(self._all)
         self._started = True
-        return self._observe(), self._info(self.referee.state(self.sensed))
+        return self._observe(), self._info(self.running.state)
 
     def step(self, actions: npt.ArrayLike) -> tuple[Floats, Array, Flags, Flags, dict[str, Any]]:
         """Hold actions (N, k) for one period.
@@ -205,14 +200,12 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         """
         action = self._checked(actions)
         self.actions.begin(action, self.sensed)
-        self.worlds.relax()
+        self.worlds.loads.relax()
         for tick in range(self._ticks_n):
             self.actions.step((tick + 1) / self._ticks_n)
             target, opening = self._commanded()
-            self.worlds.advance(target, opening, self._substeps, self._watch)
-        self._readings.read()
-        self.referee.note(self._ticks_n * TICK_S)
-        state = self.referee.state(self.sensed)
+            self.running.advance(target, opening, self._substeps)
+        state = self.running.measure(self._ticks_n * TICK_S)
         paid = self._reward.pay(state)
         reward = np.sum(list(paid.values()), axis=0)
         terminated = self.referee.finished | self.referee.diverged
@@ -233,7 +226,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
     @property
     def sensed(self) -> Sensed:
         """What a policy may read now, a row a world."""
-        return self._readings.latest
+        return self.running.readings.latest
 
     # One step ----------------------------------------------------------------------------------
 
@@ -264,27 +257,17 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         opening[:, self.frozen] = 1.0
         return target, opening
 
-    def _watch(self, scene: Scene) -> None:
-        """Judge one physics step, and let the sensors take their samples."""
-        self.referee.observe(scene)
-        self._readings.note(scene)
-
     def _observe(self) -> Floats:
-        return observe(self.terms, Seen(self.sensed, self.actions, self.task, self._truth()))
+        return observe(self.terms, self._readable())
 
-    def _truth(self) -> Truth:
-        return Truth(
-            self.worlds.object_poses()[:, None],
-            self.worlds.object_twists(),
-            self.referee.judges.state["pinch"].copy(),
-            self._readings.offset,
-        )
+    def _readable(self) -> Seen:
+        """Return what terms of observations read."""
+        return Seen(self.sensed, self.actions, self.task, self.running.truth())
 
     def _info(self, state: LiftState) -> dict[str, Any]:
         info: dict[str, Any] = {"success": state.succeeded.copy()}
         if self.privileged:
-            seen = Seen(self.sensed, self.actions, self.task, self._truth())
-            info["privileged"] = observe(self.privileged, seen)
+            info["privileged"] = observe(self.privileged, self._readable())
         return info
 
     # Trials ------------------------------------------------------------------------------------
@@ -293,43 +276,23 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         """Start new trials in some worlds; return the observations of all, and fill `info`."""
         info["final_obs"] = observation
         info["_final_obs"] = ended.copy()
-        info["final_info"] = self.referee.outcomes(self.trials, info["success"])
+        info["final_info"] = self.referee.outcomes(self.running.trials, info["success"])
         info["_final_info"] = ended.copy()
         if self.privileged:
             info["final_privileged"] = info["privileged"]
         self._begin(np.flatnonzero(ended))
         first = self._observe()
         if self.privileged:
-            info["privileged"] = self._info(self.referee.state(self.sensed))["privileged"]
+            info["privileged"] = self._info(self.running.state)["privileged"]
         return np.where(ended[:, None], first, observation)
 
     def _begin(self, worlds: Indices) -> None:
         """Start the next trials in some worlds."""
-        name = self.task.carried
-        starts = []
-        goals = []
-        for world in worlds.tolist():
-            trial = self._draw(world)
-            starts.append(placement(trial.start[name]))
-            goals.append(placement(trial.goal[name]))
-        self.worlds.reset(worlds, starts, goals)
-        self.referee.reset(worlds, np.array(starts), np.array(goals))
+        self.running.begin(worlds)
         self.actions.reset(worlds)
-        self._readings.begin(worlds, np.array(goals))
-        chosen = np.zeros(self.num_envs, dtype=bool)
-        chosen[worlds] = True
-        self._reward.restart(self.referee.state(self.sensed), chosen)
-
-    def _draw(self, world: int) -> Trial:
-        """Draw the next trial for a world, with its sensor's offset and its model."""
-        draw = self.draws.next()
-        self.trials[world] = draw.trial
-        self._readings.draw(world, draw.sensing)
-        if self._condition is not None:
-            model = self.worlds.model
-            with self._condition.applied(model, self.task, draw.trial, draw.disturbance):
-                self.worlds.set_model(world, model)
-        return draw.trial
+        begun = np.zeros(self.num_envs, dtype=bool)
+        begun[worlds] = True
+        self._reward.restart(self.running.state, begun)
 
 
 def _ticks(rate_hz: int) -> int:

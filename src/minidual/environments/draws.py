@@ -51,6 +51,8 @@ class Draws:
     """Draws trials of one random stream in turn.
 
     Attributes:
+        task: Whose trials these are.
+        condition: What disturbs them, or None.
         seed, purpose: Of the stream.
         next_index: Number of the next trial.
     """
@@ -58,21 +60,21 @@ class Draws:
     def __init__(
         self, task: Task, purpose: str, first: int, condition: Disturbed | None = None
     ) -> None:
-        self._task = task
+        self.task = task
         self.seed = task.config.seed
         self.purpose = purpose
         self.next_index = first
-        self._condition = condition
+        self.condition = condition
 
     def next(self) -> Draw:
         """Return the next trial."""
         index = self.next_index
         self.next_index += 1
-        condition = self._condition
+        condition = self.condition
         widen = 1.0 if condition is None else condition.widen
         name = "clean" if condition is None else condition.name
         return Draw(
-            self._task.trial(self.seed, self.purpose, index, widen=widen),
+            self.task.trial(self.seed, self.purpose, index, widen=widen),
             stream(self.seed, f"sensing/{self.purpose}", index),
             stream(self.seed, f"disturbance/{self.purpose}/{name}", index),
         )

@@ -58,6 +58,6 @@ class Readings:
             worlds.tau,
             worlds.gripper,
             worlds.grip_n,
-            worlds.hand_wrench.copy(),
+            worlds.loads.hand_wrench.copy(),
         )
         return self._senses.read(arms, poses[:, None])

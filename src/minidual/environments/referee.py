@@ -74,7 +74,7 @@ class Referee:
         off_s = np.abs(self._worlds.time_s - self._elapsed_s)  # MuJoCo resets a world's clock too
         self.diverged |= ~(off_s < 0.5 * self._worlds.dt)
         if self._supervised:
-            self.stopped |= ~(self._worlds.strain <= 1.0)
+            self.stopped |= ~(self._worlds.loads.strain <= 1.0)
 
     @property
     def finished(self) -> Flags:
@@ -120,7 +120,7 @@ class Referee:
             rise_m=limits.rise,
             tilt_max=limits.tilt,
             symmetry=self._item.symmetry,
-            strain=self._worlds.strain,
+            strain=self._worlds.loads.strain,
             violated=violated,
             succeeded=self.judges.succeeded & self.finished & ~violated,
         )

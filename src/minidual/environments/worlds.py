@@ -11,19 +11,9 @@ from mujoco import batch
 
 from minidual.config.control import SupervisorConfig
 from minidual.config.scene import SceneConfig
-from minidual.environments.kernels import (
-    CLOSED,
-    LATE_STEPS,
-    STRAIN_N,
-    TORQUE_SHARE,
-    Addresses,
-    Driven,
-    State,
-    drive,
-    feel,
-    wrenches,
-)
-from minidual.environments.laws import control_law, hand_force_bounds, supervised_bounds
+from minidual.environments.kernels import Addresses, Driven, State, drive
+from minidual.environments.laws import control_law
+from minidual.environments.loads import Loads
 from minidual.environments.touch import FIRST_TOUCH, add_touch_sensors, solids_of
 from minidual.environments.transport_kernel import Scene
 from minidual.plant.addresses import map_joints
@@ -44,7 +34,6 @@ RANDOMISED = (
     "dof_frictionloss",
 )
 """Fields of the model that may differ between worlds."""
-_FELT_EVERY_S = 0.01
 _AT_NEW_STATE = int(mujoco.mjtStage.mjSTAGE_VEL)
 _PADS_N = 12
 
@@ -58,9 +47,7 @@ class Worlds:
     Attributes:
         model: Of all worlds; `models` differ in RANDOMISED alone.
         time_s: (N,).
-        external: Torques (N, n) [Nm] that contacts ask of the joints, filtered as the supervisor does.
-        hand_wrench: (N, 2, 6), [force; moment] of the surroundings on each hand, estimated from them.
-        strain: (N,), the largest share of a supervisor's bound since `relax`; above 1 it would stop.
+        loads: On the arms.
 
     Args:
         scene: Its first object is carried.
@@ -86,7 +73,6 @@ class Worlds:
         touches_n = add_touch_sensors(spec, scene, robot)
         self.model = spec.compile()
         self.dt = float(self.model.opt.timestep)
-        self._frames = frames
         self._batch = batch.Batch(self.model, worlds_n, threads, persistent=True)
         self._bind(touches_n)
         self._at = self._addresses()
@@ -98,16 +84,7 @@ class Worlds:
             np.ones((worlds_n, 4, 2)),
         )
         supervisor = SupervisorConfig() if supervisor is None else supervisor
-        self._bounds = supervised_bounds(robot, supervisor, self.dt)
-        self._force_max_n = hand_force_bounds(supervisor)
-        self._late_steps = supervisor.deviation_s / self.dt
-        self._feel_every = max(1, round(_FELT_EVERY_S / self.dt))
-        self._steps = 0
-        self.external = np.zeros((worlds_n, robot.dof))
-        self.hand_wrench = np.zeros((worlds_n, 2, 6))
-        self._feelings = np.zeros((worlds_n, STRAIN_N))
-        self._hand_share = np.zeros(worlds_n)
-        self._late = np.zeros(worlds_n, dtype=bool)
+        self.loads = Loads(robot, frames, supervisor, worlds_n, self.dt)
         self._goal = np.zeros((worlds_n, 3))
 
     # Building ----------------------------------------------------------------------------------
@@ -200,18 +177,6 @@ class Worlds:
         forces = self._state.force[:, self._at.finger_motor].reshape(-1, 2, 2)
         return -forces.mean(axis=2)
 
-    @property
-    def strain(self) -> Array:
-        """See the class."""
-        largest = np.maximum(self._feelings[:, TORQUE_SHARE], self._hand_share)
-        return np.where(self._late, np.inf, largest)
-
-    def relax(self) -> None:
-        """Measure `strain` anew."""
-        self._feelings[:, TORQUE_SHARE] = 0.0
-        self._hand_share[:] = 0.0
-        self._late[:] = False
-
     def object_poses(self) -> Array:
         """Return true poses (N, 4, 4) of the object."""
         Ts = np.zeros((self.worlds_n, 4, 4))
@@ -273,11 +238,7 @@ class Worlds:
         travel_m = self.robot.hand.travel_m
         rows = [[1.0, 1.0], [travel_m, travel_m], [math.nan, math.nan], [0.0, 0.0]]
         driven.hands[worlds] = np.array(rows)
-        self.external[worlds] = 0.0
-        self.hand_wrench[worlds] = 0.0
-        self._feelings[worlds] = 0.0
-        self._hand_share[worlds] = 0.0
-        self._late[worlds] = False
+        self.loads.reset(worlds)
 
     def advance(
         self, target: Array, opening: Array, steps_n: int, observe: Callable[[Scene], None]
@@ -295,10 +256,7 @@ class Worlds:
             self._touches[:, : self._touch_data.shape[1]] = self._touch_data
             observe(self._scene())
             self._keep_poses()
-            feel(self._state, self._at, driven, self._bounds, self.external, self._feelings)
-            self._steps += 1
-            if self._steps % self._feel_every == 0:
-                self._feel_hands()
+            self.loads.update(self._state, self._at, driven)
 
     def _scene(self) -> Scene:
         velocity = self._state.qvel[:, self._free_v : self._free_v + 3]
@@ -320,10 +278,3 @@ class Worlds:
         self._p[:] = self._xpos[:, self._body]
         for hand, palm in enumerate(self._palms):
             self._axes[:, hand] = self._xmat[:, palm, :, 1]
-
-    def _feel_hands(self) -> None:
-        wrenches(self._frames, self.q, self.external, self.hand_wrench)
-        force_n = np.linalg.norm(self.hand_wrench[:, :, :3], axis=2).max(axis=1)
-        mode = self._feelings[:, CLOSED].astype(int)
-        np.maximum(self._hand_share, force_n / self._force_max_n[mode], out=self._hand_share)
-        self._late |= self._feelings[:, LATE_STEPS] > self._late_steps
