@@ -13,6 +13,7 @@ from unittest.mock import patch
 from minidual.config.root import changed
 from minidual.control.stack import ControlStack
 from minidual.demos import lerobot_adapter
+from minidual.demos.episode_recorder import EpisodeRecorder
 from minidual.demos.leaders import scripted
 from minidual.demos.rig import Job, Rig
 from minidual.demos.writer import EpisodeWriter
@@ -34,7 +35,7 @@ PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "judge": ((Judge, "observe"), (Judge, "outcome")),
     "pictures": ((Camera, "stamped"),),
     "file": ((EpisodeWriter, "append"), (EpisodeWriter, "finish"), (EpisodeWriter, "publish")),
-    "file read back": ((Rig, "_read_back"),),
+    "file read back": ((EpisodeRecorder, "read_back"),),
     CONVERSION: ((lerobot_adapter, "convert"),),
 }
 """{part: what is timed}; what a function calls of another part counts there."""

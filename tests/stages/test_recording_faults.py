@@ -13,8 +13,8 @@ import pytest
 from minidual.config.learning import TeleopConfig
 from minidual.config.root import Config
 from minidual.control.stack import ControlStack
+from minidual.demos import episode_recorder
 from minidual.demos import recording as teleop_recording
-from minidual.demos import rig as teleop_rig
 from minidual.demos.leader import LeaderSample
 from minidual.demos.leaders.scripted import ScriptedLeader
 from minidual.demos.recording import RecordedAttempts, record
@@ -106,7 +106,7 @@ def test_a_recorder_that_takes_40_s_an_episode(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     clock = itertools.count(step=40.0)
-    monkeypatch.setattr(teleop_rig.time, "perf_counter", lambda: next(clock))
+    monkeypatch.setattr(episode_recorder.time, "perf_counter", lambda: next(clock))
     task = recorded(tmp_path, monkeypatch)
     assert failing_checks(task, record(task, workers=1)) == {"episodes_per_min"}
 

@@ -1,6 +1,6 @@
 """The simulated world."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -18,12 +18,14 @@ from minidual.plant.bodies import (
     touching,
     touching_any,
 )
+from minidual.plant.brakes import JointBrakes
+from minidual.plant.divergence import DivergenceWatch
 from minidual.plant.marks import GOAL_MARK
 from minidual.plant.model import build_model
 from minidual.plant.protocol import PlantEndedError
 from minidual.robot.compiled import bound
 from minidual.robot.limits import clipped, joint_text, outside_limits
-from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot
+from minidual.robot.pair import DUAL_PANDA, Array, Robot
 
 
 class StepRecorder(Protocol):
@@ -40,17 +42,6 @@ class StepRecorder(Protocol):
 
 class SimulationDivergedError(PlantEndedError):
     """A state or command is not finite."""
-
-
-_BRAKE_NM_S_PER_RAD = 50.0
-"""Damping of a braked joint, beside exact gravity compensation, inside the motors' limits."""
-_NOT_FINITE = {
-    int(mujoco.mjtWarning.mjWARN_BADQPOS): "positions",
-    int(mujoco.mjtWarning.mjWARN_BADQVEL): "velocities",
-    int(mujoco.mjtWarning.mjWARN_BADQACC): "accelerations",
-    int(mujoco.mjtWarning.mjWARN_BADCTRL): "commands",
-}
-"""MuJoCo only counts these and resets the state or zeroes the commands."""
 
 
 class World:
@@ -92,6 +83,8 @@ class World:
             self._objects[None] = self._objects[self.objects[0]]
         self.recorder: StepRecorder | None = None
         self.observer: Callable[[World], None] | None = None
+        self._divergence = DivergenceWatch(self.data)
+        self._brakes = JointBrakes(self.data, self.joints.qvel, robot)
         self._cache_views()
         self.reset()
 
@@ -100,8 +93,6 @@ class World:
         data = self.data
         self._table = self.model.body("table").id
         self._arm_bodies = bodies_below(self.model, self.robot.joint_names)
-        self._warnings = data.warning.number  # counts by kind
-        self._no_warnings = bytes(self._warnings.nbytes)
         self._qpos = data.qpos
         self._qvel = data.qvel
         self._ctrl = data.ctrl
@@ -261,23 +252,15 @@ class World:
 
     def command(self, tau: Array, fingers: Array) -> None:
         """See `Plant`; torques are clipped at the motor limits."""
-        if self._brakes:
-            tau = np.where(self._braked, self._brake_torque(), tau)
+        if self._brakes.engaged:
+            tau = self._brakes.applied(tau)
         self._ctrl[self.joints.ctrl] = tau
         self._ctrl[self._first_fingers] = fingers
         self._ctrl[self._second_fingers] = fingers
 
     def brake(self, arms: tuple[int, ...]) -> None:
-        """See `Plant`: a damper on the true motion, in place of the commanded torques."""
-        self._brakes = bool(arms)
-        braked = [arm in arms for arm in range(len(SIDES))]
-        self._braked = self.robot.per_joint(braked)
-
-    def _brake_torque(self) -> Array:
-        """Return the torques (n,) [Nm] of the brakes."""
-        bias = self.data.qfrc_bias[self.joints.qvel]
-        tau = bias - _BRAKE_NM_S_PER_RAD * self.v
-        return np.clip(tau, -self.robot.tau_max, self.robot.tau_max)
+        """See `Plant`."""
+        self._brakes.engage(arms)
 
     def step(self) -> None:
         """Advance by `dt`.
@@ -289,20 +272,18 @@ class World:
         if self.recorder is not None:
             self.recorder.before_step()
         mujoco.mj_step(self.model, self.data)
-        if self._warnings.tobytes() != self._no_warnings:  # a tenth of the time of `any`
-            self._raise_if_diverged(before_s)
+        not_finite = self._divergence.kinds()
+        if not_finite:
+            raise self._diverged(before_s, not_finite)
         if self.observer is not None:
             self.observer(self)
 
-    def _raise_if_diverged(self, before_s: float) -> None:
-        """Raise SimulationDivergedError if a warning is of a value that is not finite."""
-        kinds = [kind for number, kind in _NOT_FINITE.items() if self._warnings[number]]
-        if not kinds:
-            return
+    def _diverged(self, before_s: float, kinds: Sequence[str]) -> SimulationDivergedError:
+        """Return the error of a step that began at `before_s`, and write the last second."""
         message = f"the simulation diverged at t = {before_s:.3f} s ({', '.join(kinds)} not finite)"
         remedy = "check the commanded torques, the inertias and the time step"
         if self.recorder is not None:
             dump = self.recorder.dump("diverged", message)
             if dump is not None:
                 remedy += f"; minidual replay {dump} says what came first"
-        raise SimulationDivergedError(message, remedy=remedy)
+        return SimulationDivergedError(message, remedy=remedy)
