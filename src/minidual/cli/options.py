@@ -20,6 +20,16 @@ def flag(name: str, text: str) -> Any:
     return typer.Option(name, metavar=" ", help=text)
 
 
+PlantAddress = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="sim, sim-position, franka://HOST,HOST or MODULE:FACTORY (default: sim).",
+    ),
+]
+"""Type of the option --plant: what is driven, None for the configuration's."""
+
+
 @dataclass(frozen=True)
 class CommonOptions:
     """Options of every command."""

@@ -3,6 +3,7 @@
 import math
 import time
 
+from minidual.config.root import Config
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import dumping
 from minidual.errors import UsageError
@@ -36,22 +37,8 @@ def bridge(context: ToolContext) -> ToolResult:
     config = task_config(context.config)
     cameras = () if options.get("no-cameras") else CAMERAS
     topics = Topics(domain)
-    world = World(config.scene, robot_from(config.robot))
-    recorder = Recorder(
-        world,
-        window_s=1.0,
-        seed=context.seed,
-        folder=context.run_folder / "dumps",
-    )
-    world.recorder = recorder
-    supervisor = trial_supervisor(config.supervisor, world.dt, world.robot, dumping(recorder))
-    stack = ControlStack(
-        world,
-        Kinematics(world.robot),
-        config.arbiter,
-        rate_hz=RATE_HZ,
-        supervisor=supervisor,
-    )
+    stack = _simulated_stack(context, config)
+    world = stack.plant
     eyes = CameraProcess(config.scene, world.robot, cameras, domain) if cameras else None
 
     def show() -> None:
@@ -85,3 +72,23 @@ def bridge(context: ToolContext) -> ToolResult:
         "reflexes": counts.reflexes,
     }
     return ToolResult(lines, notes, data)
+
+
+def _simulated_stack(context: ToolContext, config: Config) -> ControlStack[World]:
+    """Return the control stack of the task's simulated world, whose last second can be dumped."""
+    world = World(config.scene, robot_from(config.robot))
+    recorder = Recorder(
+        world,
+        window_s=1.0,
+        seed=context.seed,
+        folder=context.run_folder / "dumps",
+    )
+    world.recorder = recorder
+    supervisor = trial_supervisor(config.supervisor, world.dt, world.robot, dumping(recorder))
+    return ControlStack(
+        world,
+        Kinematics(world.robot),
+        config.arbiter,
+        rate_hz=RATE_HZ,
+        supervisor=supervisor,
+    )

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from minidual.cli.execute import run_tool
-from minidual.cli.options import ViewOptions
+from minidual.cli.options import PlantAddress, ViewOptions
 from minidual.cli.session import Session
 from minidual.errors import ExitCode
 
@@ -21,13 +21,7 @@ def lead(
         typer.Option(help="Scene of this task (default: the run's)."),
     ] = None,
     seconds: Annotated[float | None, typer.Option(help="Longest time (default: 60).")] = None,
-    plant: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="sim, sim-position, franka://HOST,HOST or MODULE:FACTORY (default: sim).",
-        ),
-    ] = None,
+    plant: PlantAddress = None,
     view_options: ViewOptions,
     session: Session,
 ) -> ExitCode:

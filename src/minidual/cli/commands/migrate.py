@@ -61,36 +61,24 @@ def migrate(
     loaded = session.loaded
     if plant is not None:  # of the whole migration: steps on another plant are stale
         loaded = loaded.with_overrides([Override("plant.address", plant, f"--plant {plant}")])
-    options = {
-        "boards": boards,
-        "confirm": confirm,
-        "signed-by": signed_by,
-    }
+    options = {"boards": boards, "confirm": confirm, "signed-by": signed_by}
     typed = {name: value for name, value in options.items() if value is not None}
     store = RunStore(session.store.folder, "migration")
-
-    def command(words: str) -> str:
-        last = words.split()[-1]
-        return session.common.command(f"migrate {last} --plant {address}")
-
     if step is not None:
         check_name("step", step, MIGRATION)
     else:
-        gate = Gate(MIGRATION, store, session.loaded, dict.fromkeys(MIGRATION, typed))
-        open_steps = [name for name in MIGRATION if gate.state(name).state != "pass"]
-        if not open_steps and not gate_options.force:
-            session.finish(
-                {"migration": "passed", "plant": address, "exit_code": 0},
-                [f"the migration has passed on {address}"],
-            )
-            return ExitCode.PASS
-        step = open_steps[0] if open_steps else next(iter(MIGRATION))
+        open_step = _first_open(
+            Gate(MIGRATION, store, session.loaded, dict.fromkeys(MIGRATION, typed))
+        )
+        if open_step is None and not gate_options.force:
+            return _passed(session, address)
+        step = open_step or next(iter(MIGRATION))
     runner = Runner(
         table=MIGRATION,
         store=store,
         loaded=loaded,
         progress=ConsoleProgress(session.people),
-        command=command,
+        command=lambda words: _command_of(session, words, address),
     )
     outcome = runner.run(step, typed, force=gate_options.force, waiver=gate_options.waive_gate)
     following = f"next: {session.common.command(f'migrate --plant {address}')}"
@@ -98,3 +86,24 @@ def migrate(
     document = {**outcome_document(outcome), "next": following}
     session.finish(document, [store.verdict_path(step)])
     return outcome.exit_code
+
+
+def _first_open(gate: Gate) -> str | None:
+    """Return the first step that has not passed, None if all have."""
+    lowest = gate.lowest()
+    return None if lowest is None else lowest.name
+
+
+def _passed(session: Session, address: str) -> ExitCode:
+    """Report a migration that has passed."""
+    session.finish(
+        {"migration": "passed", "plant": address, "exit_code": 0},
+        [f"the migration has passed on {address}"],
+    )
+    return ExitCode.PASS
+
+
+def _command_of(session: Session, words: str, address: str) -> str:
+    """Return the command that runs the step named last in `words`."""
+    step = words.split()[-1]
+    return session.common.command(f"migrate {step} --plant {address}")

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from minidual.cli.execute import run_tool
-from minidual.cli.options import ViewOptions
+from minidual.cli.options import PlantAddress, ViewOptions
 from minidual.cli.session import Session
 from minidual.errors import ExitCode
 
@@ -23,13 +23,7 @@ def modes(
         typer.Option(help="Folder of the policy (default: the run's train-act)."),
     ] = None,
     speed: Annotated[float | None, typer.Option(help="Share of full speed, 0.1 to 1.")] = None,
-    plant: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="sim, sim-position, franka://HOST,HOST or MODULE:FACTORY (default: sim).",
-        ),
-    ] = None,
+    plant: PlantAddress = None,
     view_options: ViewOptions,
     session: Session,
 ) -> ExitCode:

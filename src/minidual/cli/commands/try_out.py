@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from minidual.cli.execute import run_tool
-from minidual.cli.options import ViewOptions
+from minidual.cli.options import PlantAddress, ViewOptions
 from minidual.cli.session import Session
 from minidual.errors import ExitCode
 
@@ -43,13 +43,7 @@ def try_out(
         bool | None,
         typer.Option("--video", help="Film the first start, all methods side by side."),
     ] = None,
-    plant: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="sim, sim-position, franka://HOST,HOST or MODULE:FACTORY (default: sim).",
-        ),
-    ] = None,
+    plant: PlantAddress = None,
     placed_by: Annotated[
         str | None,
         typer.Option(

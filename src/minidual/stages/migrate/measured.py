@@ -93,23 +93,42 @@ def checks_of(m: StepMeasurements, names: Sequence[str]) -> list[Check]:
 
 def _every(m: StepMeasurements) -> dict[str, list[Check]]:
     """Return {row or part of a step: its checks}."""
+    return {**_plant_checks(m), **_motion_checks(m), **_equipment_checks(m)}
+
+
+def _plant_checks(m: StepMeasurements) -> dict[str, list[Check]]:
+    """Return the checks of the link to the plant: its interface, limits and times."""
     wrong = m.controllers_wrong
-    small = m.meshes_small
-    missed = m.workspace_missed
-    limits = m.limits_off
-    rows: dict[str, list[Check]] = {
+    return {
         "stops": [criteria.STOPPED.check(len(m.stops), 0, stops="; ".join(m.stops))],
         "interface": [criteria.INTERFACE.check(len(m.faults), 0, faults="; ".join(m.faults))],
         "controllers": [
             criteria.CONTROLLERS.check(_count(wrong), 0, wrong="; ".join(wrong or ["not tried"])),
         ],
-        "limits": [
-            criteria.APPROACH.check(m.approach.value, APPROACH_MAX_RAD, joint=m.approach.where),
-        ],
+        "limits": _limits_checks(m),
         "latency": [
             criteria.JITTER.check(m.jitter_s, JITTER_MAX_S),
             criteria.LATENCY.check(m.latency.value, LATENCY_MAX_S),
         ],
+        "stop": [
+            criteria.STOP.check(m.rest_s, REST_MAX_S),
+            criteria.SIGNED.check(len(m.unsigned), 0, rows=",".join(m.unsigned)),
+        ],
+    }
+
+
+def _limits_checks(m: StepMeasurements) -> list[Check]:
+    approach = criteria.APPROACH.check(m.approach.value, APPROACH_MAX_RAD, joint=m.approach.where)
+    limits = m.limits_off
+    if limits is None:
+        return [approach]
+    declared = criteria.LIMITS.check(limits.value, LIMITS_OFF_MAX_RAD, joint=limits.where)
+    return [declared, approach]
+
+
+def _motion_checks(m: StepMeasurements) -> dict[str, list[Check]]:
+    """Return the checks of how the arms move."""
+    return {
         "gravity": [
             criteria.GRAVITY.check(m.gravity.value, GRAVITY_SHARE_MAX, joint=m.gravity.where),
             criteria.SAG.check(m.sag.value, SAG_MAX_RAD, joint=m.sag.where),
@@ -126,24 +145,7 @@ def _every(m: StepMeasurements) -> dict[str, list[Check]]:
                 joint=m.soft_error.where,
             ),
         ],
-        "meshes": [criteria.MESHES.check(_count(small), 0, links=", ".join(small or []))],
-        "cameras": [
-            criteria.FOCAL.check(m.focal.value, FOCAL_ERROR_MAX, camera=m.focal.where),
-            criteria.REPROJECTION.check(
-                m.reprojection.value,
-                REPROJECTION_MAX_PX,
-                camera=m.reprojection.where,
-            ),
-        ],
-        "hands": [
-            criteria.HAND_OPEN.check(m.open_share.value, OPEN_SHARE_MIN, hand=m.open_share.where),
-            criteria.HAND_CLOSED.check(m.closed_m.value, CLOSED_MAX_M, hand=m.closed_m.where),
-        ],
         "speed": [criteria.SPEED.check(m.speed.value, SPEED_SHARE_MAX, joint=m.speed.where)],
-        "stop": [
-            criteria.STOP.check(m.rest_s, REST_MAX_S),
-            criteria.SIGNED.check(len(m.unsigned), 0, rows=",".join(m.unsigned)),
-        ],
         "statistics": [
             criteria.STATISTICS.check(
                 m.statistics.value,
@@ -161,6 +163,27 @@ def _every(m: StepMeasurements) -> dict[str, list[Check]]:
             ),
         ],
         "torque": [criteria.TORQUE.check(m.torque.value, TORQUE_SHARE_MAX, joint=m.torque.where)],
+    }
+
+
+def _equipment_checks(m: StepMeasurements) -> dict[str, list[Check]]:
+    """Return the checks of cameras, hands, leader, models and indicators."""
+    small = m.meshes_small
+    missed = m.workspace_missed
+    return {
+        "meshes": [criteria.MESHES.check(_count(small), 0, links=", ".join(small or []))],
+        "cameras": [
+            criteria.FOCAL.check(m.focal.value, FOCAL_ERROR_MAX, camera=m.focal.where),
+            criteria.REPROJECTION.check(
+                m.reprojection.value,
+                REPROJECTION_MAX_PX,
+                camera=m.reprojection.where,
+            ),
+        ],
+        "hands": [
+            criteria.HAND_OPEN.check(m.open_share.value, OPEN_SHARE_MIN, hand=m.open_share.where),
+            criteria.HAND_CLOSED.check(m.closed_m.value, CLOSED_MAX_M, hand=m.closed_m.where),
+        ],
         "leader": [criteria.LEADER_LATENCY.check(m.leader_latency_s, LEADER_LATENCY_MAX_S)],
         "workspace": [
             criteria.WORKSPACE.check(_count(missed), 0, postures=", ".join(missed or [])),
@@ -173,7 +196,3 @@ def _every(m: StepMeasurements) -> dict[str, list[Check]]:
             ),
         ],
     }
-    if limits is not None:
-        declared = criteria.LIMITS.check(limits.value, LIMITS_OFF_MAX_RAD, joint=limits.where)
-        rows["limits"].insert(0, declared)
-    return rows
