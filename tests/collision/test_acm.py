@@ -12,7 +12,7 @@ from minidual.collision import acm
 from minidual.collision.acm import QUIET_DOUBLINGS, acm_report, build_acm
 from minidual.robot.description import links_of
 from minidual.robot.models import PANDA
-from minidual.robot.pair import DUAL_PANDA, Robot
+from minidual.robot.pair import DUAL_PANDA, SIDES, Robot
 
 
 @pytest.fixture(scope="module")
@@ -168,3 +168,19 @@ def test_pairs_that_the_model_rules_out_count_in_either_order():
         == by_pair["right_panda_link0", "right_panda_link2"]
         == "model"
     )
+
+
+@pytest.mark.parametrize("ruling", ["left", "right"])
+def test_two_different_arms_have_the_matrix_of_each(ruling):
+    """What one model rules out is no reason for the other arm."""
+    strict = dataclasses.replace(PANDA, never_touch=(("panda_link2", "panda_link0"),))
+    robot = Robot(strict, PANDA) if ruling == "left" else Robot(PANDA, strict)
+    matrix = build_acm(robot, samples_min=50, samples_max=50).acm
+    reasons = {(a, b): reason for a, b, reason in matrix}
+    by_model = {side for side in SIDES if reasons.get(_shoulder(side)) == "model"}
+    assert by_model == {ruling}
+    assert acm.model_hash(robot) != acm.model_hash(Robot(robot.arm))
+
+
+def _shoulder(side: str) -> tuple[str, str]:
+    return f"{side}_panda_link0", f"{side}_panda_link2"

@@ -171,7 +171,10 @@ def build_acm(
     samples_min: int = SAMPLES_MIN,
     samples_max: int = SAMPLES_MAX,
 ) -> BuiltAcm:
-    """Build the matrix."""
+    """Build the matrix; see `acm_report` for two different arms."""
+    if robot.arms[0] != robot.arms[1]:
+        of_each = [build_acm(Robot(arm), samples_min, samples_max) for arm in robot.arms]
+        return _combined(of_each)
     reasons = _structural_pairs(robot)
     pairs = [pair for pair in itertools.combinations(_left_links(robot), 2) if pair not in reasons]
     sampler = _Sampler(robot, pairs)
@@ -224,7 +227,7 @@ def _left_links(robot: Robot) -> dict[str, int]:
 
 
 def _structural_pairs(robot: Robot) -> dict[LinkPair, str]:
-    """Return reasons that need no samples, by pair in the order of the links."""
+    """Return reasons that need no samples, by pair in the order of the links; both arms are alike."""
     links = _left_links(robot)
     ruled_out = [{f"{SIDES[0]}_{link}" for link in pair} for pair in robot.arm.never_touch]
     moved_by_last: dict[int, str] = {}
@@ -250,7 +253,7 @@ def model_hash(robot: Robot) -> str:
     digest.update(re.sub(r'filename="[^"]*/([^"/]+)"', r'filename="\1"', urdf).encode())
     for file in sorted(set(re.findall(r'filename="([^"]+)"', urdf))):
         digest.update(Path(file).read_bytes())
-    arm = robot.arm
-    constants = (arm.home, arm.q_lower, arm.q_upper, robot.hand.travel_m, arm.never_touch)
-    digest.update(repr(constants).encode())
+    for arm in dict.fromkeys(robot.arms):
+        constants = (arm.home, arm.q_lower, arm.q_upper, robot.hand.travel_m, arm.never_touch)
+        digest.update(repr(constants).encode())
     return digest.hexdigest()
