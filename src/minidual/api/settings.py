@@ -16,7 +16,7 @@ def configured(task: str, settings: Settings | None = None) -> Config:
     Raises:
         ConfigError: An unknown path, or a value out of bounds.
     """
-    values: dict[str, Any] = {"task": task, **(settings or {})}
+    values: Settings = {"task": task, **(settings or {})}
     overrides = [
         Override(path, _plain(value), f"settings: {path}={value}") for path, value in values.items()
     ]

@@ -8,9 +8,12 @@ from minidual.gate.state import StageState
 
 def outcome_document(outcome: StageOutcome) -> dict[str, Any]:
     """Return a stage's state after a command, with its verdict."""
-    state = state_document(outcome.state)
-    verdict = outcome.verdict.to_json()
-    return {"stage": state["name"], "ran": outcome.ran, **state, "verdict": verdict}
+    return {
+        "stage": outcome.state.name,
+        "ran": outcome.ran,
+        **state_document(outcome.state),
+        "verdict": outcome.verdict.to_json(),
+    }
 
 
 def state_document(state: StageState) -> dict[str, Any]:

@@ -53,7 +53,8 @@ class RelativePose:
 
     names = ("across", "along", "above", "own_askew", "other_askew")
     step = _STEP
-    low, high = _LOW, _HIGH
+    low = _LOW
+    high = _HIGH
 
     def __init__(self) -> None:
         self.value = np.zeros(len(self.names))

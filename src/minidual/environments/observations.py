@@ -163,8 +163,8 @@ def _time(seen: Seen) -> Array:
 
 def _relative_pose(seen: Seen) -> Array:
     """Return the second object's pose in the first one, sensed: position and two of its axes."""
-    T_first, T_second = seen.sensed.objects[:, 0], seen.sensed.objects[:, 1]
-    return _pose_between(T_first, T_second)
+    objects = seen.sensed.objects
+    return _pose_between(objects[:, 0], objects[:, 1])
 
 
 def _true_relative_pose(seen: Seen) -> Array:

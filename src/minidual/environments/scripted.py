@@ -259,8 +259,10 @@ _NOISE = np.r_[[0.25] * 3, 0.2, [0.25] * 4]
 """Standard deviation of the noise on actions, as a share of their range."""
 _NOISE_KEPT = 0.7
 """Share of the noise that stays for the next step."""
-_REACHING, _HOLDING = 0.5, 0.15
-"""Shares of the noise while hands are free to move, and afterwards."""
+_NOISE_REACHING = 0.5
+"""Share of the noise while hands are free to move."""
+_NOISE_HOLDING = 0.15
+"""Share of the noise afterwards."""
 _CLEAN_EVERY = 4
 """Every fourth world runs without noise."""
 
@@ -284,7 +286,7 @@ def record(env: BatchedEnv, episodes_n: int, rng: np.random.Generator) -> Sample
             rows.append((observation[world].copy(), action[world].copy()))
         fresh = rng.standard_normal(noise.shape)
         noise = _NOISE_KEPT * noise + np.sqrt(1.0 - _NOISE_KEPT**2) * fresh
-        share = np.where(script.phase == Phase.REACH, _REACHING, _HOLDING) * noisy
+        share = np.where(script.phase == Phase.REACH, _NOISE_REACHING, _NOISE_HOLDING) * noisy
         executed = action.copy()
         executed[:, : len(_NOISE)] += noise * _NOISE * share[:, None]
         observation, _, terminated, truncated, info = env.step(executed)

@@ -93,7 +93,8 @@ def read_facts(folder: Path) -> PolicyFacts:
             middles[key] = statistics[f"{key}.mean"]
             spreads[key] = statistics[f"{key}.std"]
         elif f"{key}.min" in statistics and f"{key}.max" in statistics:
-            low, high = statistics[f"{key}.min"], statistics[f"{key}.max"]
+            low = statistics[f"{key}.min"]
+            high = statistics[f"{key}.max"]
             middles[key] = (low + high) / 2.0
             spreads[key] = (high - low) / 4.0
     info = _dataset_info(folder)

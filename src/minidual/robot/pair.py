@@ -104,9 +104,9 @@ class Robot:
     def _check_pair(self) -> None:
         left, right = self.arms
         for name in _EQUAL_OF_A_PAIR:
-            of_left, of_right = getattr(left, name), getattr(right, name)
-            if of_left != of_right:
-                texts = [getattr(value, "name", value) for value in (of_left, of_right)]
+            values = [getattr(arm, name) for arm in self.arms]
+            if values[0] != values[1]:
+                texts = [getattr(value, "name", value) for value in values]
                 raise UsageError(
                     f"the arms '{left.name}' and '{right.name}' have different {name} "
                     f"({texts[0]} and {texts[1]}); a pair has one",

@@ -58,7 +58,8 @@ def named_policies(
     for word in map(str, words):
         method, equals, path = word.partition("=")
         if not equals:
-            method, path = _only(word, learned), word
+            method = _only(word, learned)
+            path = word
         if method not in learned:
             raise UsageError(
                 f"--checkpoint {word}: the methods that drive a policy here are "

@@ -97,7 +97,8 @@ class CartesianMotion:
                 errors.append(f"{self._PREFIX}_{name}")
         if not errors:
             self._first = False
-            self.twist, self._a = twist.copy(), a
+            self.twist = twist.copy()
+            self._a = a
         return errors
 
 

@@ -35,7 +35,8 @@ def model_urdf(arm: ArmModel) -> str:
             element.set("name", names[element.get("name", "")])
             robot.append(element)
     for element in source.findall("joint"):
-        parent, child = element.find("parent"), element.find("child")
+        parent = element.find("parent")
+        child = element.find("child")
         if parent is None or child is None:
             continue
         if parent.get("link") not in names or child.get("link") not in names:
@@ -63,7 +64,8 @@ def _chain(source: ET.Element, arm: ArmModel) -> dict[str, str]:
     """Return {link of the arm: its name for the client}, from the base to the flange."""
     child_of: dict[str, tuple[str, str]] = {}
     for joint in source.findall("joint"):
-        parent, child = joint.find("parent"), joint.find("child")
+        parent = joint.find("parent")
+        child = joint.find("child")
         if parent is not None and child is not None:
             child_of[child.get("link", "")] = (parent.get("link", ""), joint.get("name", ""))
     links = [arm.flange_link]

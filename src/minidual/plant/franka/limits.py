@@ -166,7 +166,9 @@ class JointMotion:
         if errors:
             return errors
         self._first = False
-        self.q, self.v, self.a = q.copy(), v, a
+        self.q = q.copy()
+        self.v = v
+        self.a = a
         return errors
 
 

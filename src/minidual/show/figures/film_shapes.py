@@ -105,7 +105,8 @@ def arm_shells(arm: ArmModel, *, fine: bool) -> tuple[VisualMesh, ...]:
 
 
 def _shell(visual: VisualMesh, *, fine: bool) -> VisualMesh:
-    vertices, faces = visual.vertices, visual.faces
+    vertices = visual.vertices
+    faces = visual.faces
     if not fine and len(faces) > _LARGE_FACES:
         import fast_simplification
 

@@ -89,7 +89,8 @@ def rendered_boards(focal_px: float) -> list[Image]:
 
 def _board() -> Array:
     """Return the board as a picture: squares with a white rim."""
-    columns, rows = INNER[0] + 1, INNER[1] + 1
+    columns = INNER[0] + 1
+    rows = INNER[1] + 1
     squares = (np.indices((rows, columns)).sum(axis=0) % 2) * 255
     cells = np.kron(squares, np.ones((_CELL_PX, _CELL_PX))).astype(np.uint8)
     return np.pad(cells, _CELL_PX, constant_values=255)
@@ -105,27 +106,28 @@ def calibrate(pictures: list[Image]) -> Calibration:
     """Calibrate by pictures of one size; NaN if the board is found in fewer than three."""
     grid = np.zeros((INNER[0] * INNER[1], 3), np.float32)
     grid[:, :2] = np.mgrid[0 : INNER[0], 0 : INNER[1]].T.reshape(-1, 2) * SQUARE_M
-    found: list[NDArray[np.float32]] = []
+    boards: list[NDArray[np.float32]] = []
     for picture in pictures:
-        seen, corners = cv2.findChessboardCornersSB(picture, INNER)
-        if seen:
-            found.append(np.asarray(corners, np.float32))
-    if len(found) < 3:
-        return Calibration(float("nan"), float("nan"), len(found))
+        complete, corners = cv2.findChessboardCornersSB(picture, INNER)
+        if complete:
+            boards.append(np.asarray(corners, np.float32))
+    if len(boards) < 3:
+        return Calibration(float("nan"), float("nan"), len(boards))
     height, width = pictures[0].shape[:2]
     flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_ZERO_TANGENT_DIST
     flags |= cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
     start = _camera_matrix(float(width))
-    start[0, 2], start[1, 2] = 0.5 * width, 0.5 * height
+    start[0, 2] = 0.5 * width
+    start[1, 2] = 0.5 * height
     error_px, matrix, *_ = cv2.calibrateCamera(
-        [grid] * len(found),
-        found,
+        [grid] * len(boards),
+        boards,
         (width, height),
         start,
         np.zeros(5),
         flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS,
     )
-    return Calibration(float(matrix[1, 1]) * _SIZE[1] / height, float(error_px), len(found))
+    return Calibration(float(matrix[1, 1]) * _SIZE[1] / height, float(error_px), len(boards))
 
 
 def taken_boards(folder: Path, camera: str) -> list[Image]:

@@ -42,7 +42,8 @@ def _extent(model: mujoco.MjModel, body: int, group: int) -> Array | None:
     for geom in np.flatnonzero(model.geom_bodyid == body):
         if model.geom_group[geom] != group:
             continue
-        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        centre = model.geom_aabb[geom, :3]
+        half = model.geom_aabb[geom, 3:]
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
         corners = centre + _CORNERS * half

@@ -111,15 +111,17 @@ def approach(drive: PlantDrive, home: Array, arms: Sequence[int]) -> tuple[Worst
 
 def lag_s(log: Driven, joint: int) -> float:
     """Return how much later than its reference a joint is half way [s]; NaN if it never is."""
-    reference, measured = log.reference[:, joint], log.q[:, joint]
-    start, end = reference[0], reference[-1]
+    reference = log.reference[:, joint]
+    measured = log.q[:, joint]
+    start = reference[0]
+    end = reference[-1]
     if abs(end - start) < 1e-6:
         return float("nan")
     shares = [(path - start) / (end - start) >= 0.5 for path in (reference, measured)]
     if not all(share.any() for share in shares):
         return float("nan")
-    told, done = (float(log.t[int(np.argmax(share))]) for share in shares)
-    return done - told
+    reference_s, measured_s = (float(log.t[int(np.argmax(share))]) for share in shares)
+    return measured_s - reference_s
 
 
 def timing(logs: Sequence[Driven], dt_s: float) -> float:
