@@ -18,21 +18,10 @@ from minidual.cli.options import CommonOptions, GateOptions
 from minidual.stages.registry import STAGES, TOOLS
 from tests.support import howto
 from tests.support.documents import PAGES, ROOT, printed_commands
+from tests.support.typed_commands import parse
 
 OWN_STAGES = {"steadiness"}
 """Stages that a how-to adds; its own test types their commands."""
-
-
-def parse(words: list[str]) -> None:
-    """Raise what the command line raises for wrong words, without running the command."""
-    group = typer.main.get_command(build_app(STAGES, TOOLS))
-    context = group.make_context("minidual", list(words), resilient_parsing=True)
-    command = group
-    while words and hasattr(command, "resolve_command"):
-        name, command, words = command.resolve_command(context, words)
-        if words == ["--help"]:
-            return
-        context = command.make_context(name, list(words), parent=context)
 
 
 @pytest.mark.parametrize(

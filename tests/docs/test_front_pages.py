@@ -9,10 +9,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.docs.test_docs import parse
-from tests.docs.test_pages import words
 from tests.support import lerobot_env
-from tests.support.documents import ROOT, code_lines, printed_commands
+from tests.support.documents import ROOT, code_lines, printed_commands, words
+from tests.support.typed_commands import parse
 
 FRONT = ("README.md", "docs/quickstart.md", "docs/can-i.md")
 README_WORDS_MAX = 700

@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.docs.test_pages import heading_anchors
-from tests.support.documents import ROOT, code_lines
+from tests.support.documents import ROOT, code_lines, heading_anchors
 
 PAIRS = {
     ROOT / "README.md": ROOT / "README.zh.md",

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from scripts.site.pages import sections
+from tests.support.documents import ROOT, heading_anchors, words
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(
     {
         ROOT / "README.md",
@@ -46,26 +46,6 @@ def broken_files(page: Path) -> list[str]:
     return [name for name in names if name and not (page.parent / name).exists()]
 
 
-def heading_anchors(text: str) -> set[str]:
-    """Return the names that GitHub gives the headings of a page.
-
-    A name is the heading in lower case, with hyphens for spaces and without punctuation. A name that
-    exists already gets a number.
-    """
-    without_code = re.sub(r"(?ms)^```.*?^```$", "", text)
-    anchors: set[str] = set()
-    for heading in re.findall(r"^#{1,6} +(.+?)(?: +#+)? *$", without_code, re.MULTILINE):
-        words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower()
-        name = re.sub(r"[^\w\- ]", "", words).replace(" ", "-")
-        anchor = name
-        repeats = 0
-        while anchor in anchors:
-            repeats += 1
-            anchor = f"{name}-{repeats}"
-        anchors.add(anchor)
-    return anchors
-
-
 def broken_anchors(page: Path) -> list[str]:
     """Return the links of a page to headings that no page has; missing files are left out."""
     broken = []
@@ -96,17 +76,6 @@ def named_pages(root: Path) -> dict[str, set[str]]:
         for named in re.findall(r"\bdocs/[a-z0-9-]+\.md(?:#[\w-]+)?", text):
             pages.setdefault(named, set()).add(file.relative_to(root).as_posix())
     return pages
-
-
-def words(page: Path) -> int:
-    """Return the number of words of a page; marks alone, such as the bars of a table, do not count.
-
-    Chinese has no blanks between words: two characters count as one.
-    """
-    text = page.read_text(encoding="utf-8")
-    chinese = re.findall(r"[\u4e00-\u9fff]", text)
-    others = re.sub(r"[\u3000-\u9fff\uff00-\uffef]", " ", text).split()
-    return sum(bool(re.search(r"\w", word)) for word in others) + len(chinese) // 2
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_name)

@@ -18,7 +18,7 @@ from minidual.gate.stage import ToolContext
 from minidual.stages import data_augment as module
 from minidual.stages.data_augment import RECORD, augment_lines, augment_record, data_augment
 from minidual.stages.registry import STAGES, TOOLS
-from tests.demos.augment.test_augment import write_carry
+from tests.support.carried_demo import write_carry
 from tests.support.recording_toys import ToyRig
 from tests.support.tool_contexts import tool_context
 

@@ -19,31 +19,13 @@ from minidual.gate.code import Code
 from minidual.gate.progress import Progress
 from minidual.gate.stage import StageContext, StageResult
 from minidual.policies import policy
-from minidual.policies.kinds import ChunkPolicy, TrainResult
+from minidual.policies.kinds import ChunkPolicy
 from minidual.policies.policy import EmittedActions, exercise_checkpoint
 from minidual.robot.pair import DUAL_PANDA
 from minidual.stages import train_act
 from minidual.stages.train_act import train_checks, training_seeds
-from tests.support.training_samples import SMALL, tiny
+from tests.support.training_samples import RESULT, SMALL, tiny
 
-RESULT = TrainResult(
-    steps=100,
-    steps_asked=100,
-    train_s=60.0,
-    samples_per_s=400.0,
-    parameters=770_000,
-    loss_initial=1.0,
-    loss_final=0.05,
-    loss_ratio=0.05,
-    validation_l1=0.06,
-    validation_keyframe_rad=0.004,
-    training_episodes=[0, 1],
-    validation_episodes=[2],
-    ticks=1200,
-    bf16=True,
-    resumed_from_step=0,
-    stopped_by="steps",
-)
 EMITTED = EmittedActions(in_limits=1.0, overshoot_max_rad=0.0, targets_n=16, inference_hz=300.0)
 
 

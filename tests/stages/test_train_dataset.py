@@ -25,10 +25,9 @@ from minidual.stages.train_dataset import (
     exercised,
     train_dataset,
 )
-from tests.stages.test_train_act import RESULT
 from tests.support import foreign_datasets as foreign
 from tests.support.foreign_datasets import ARM, TOP
-from tests.support.training_samples import SMALL, tiny
+from tests.support.training_samples import RESULT, SMALL, tiny
 
 SETTINGS = {**SMALL, "steps": 60, "loss_ratio_max": 0.99, "batch_size": 8}
 

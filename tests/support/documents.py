@@ -1,4 +1,4 @@
-"""The pages of README and docs, and the commands that they print."""
+"""The pages of README and docs: the commands that they print, their headings and words."""
 
 from __future__ import annotations
 
@@ -44,3 +44,34 @@ def printed_commands() -> list[tuple[str, str]]:
             if line.startswith("minidual ") and "[" not in line:
                 commands.append((name, line))
     return list(dict.fromkeys(commands))
+
+
+def heading_anchors(text: str) -> set[str]:
+    """Return the names that GitHub gives the headings of a page.
+
+    A name is the heading in lower case, with hyphens for spaces and without punctuation. A name that
+    exists already gets a number.
+    """
+    without_code = re.sub(r"(?ms)^```.*?^```$", "", text)
+    anchors: set[str] = set()
+    for heading in re.findall(r"^#{1,6} +(.+?)(?: +#+)? *$", without_code, re.MULTILINE):
+        words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower()
+        name = re.sub(r"[^\w\- ]", "", words).replace(" ", "-")
+        anchor = name
+        repeats = 0
+        while anchor in anchors:
+            repeats += 1
+            anchor = f"{name}-{repeats}"
+        anchors.add(anchor)
+    return anchors
+
+
+def words(page: Path) -> int:
+    """Return the number of words of a page; marks alone, such as the bars of a table, do not count.
+
+    Chinese has no blanks between words: two characters count as one.
+    """
+    text = page.read_text(encoding="utf-8")
+    chinese = re.findall(r"[\u4e00-\u9fff]", text)
+    others = re.sub(r"[\u3000-\u9fff\uff00-\uffef]", " ", text).split()
+    return sum(bool(re.search(r"\w", word)) for word in others) + len(chinese) // 2

@@ -30,6 +30,26 @@ SMALL = {
 }
 """Settings of a training of a fraction of a second."""
 
+RESULT = TrainResult(
+    steps=100,
+    steps_asked=100,
+    train_s=60.0,
+    samples_per_s=400.0,
+    parameters=770_000,
+    loss_initial=1.0,
+    loss_final=0.05,
+    loss_ratio=0.05,
+    validation_l1=0.06,
+    validation_keyframe_rad=0.004,
+    training_episodes=[0, 1],
+    validation_episodes=[2],
+    ticks=1200,
+    bf16=True,
+    resumed_from_step=0,
+    stopped_by="steps",
+)
+"""Of a training that passes every limit."""
+
 
 def tiny(
     ticks: int = 60,

@@ -81,6 +81,20 @@ def run(
     return drive(world, judge, carry), carry
 
 
+def begun(world: World, planner: Planner, task: Task, index: int) -> PlannedCarry:
+    """Return a carry at the start of a trial, without a supervisor."""
+    trial = task.trial(1, "plan", index)
+    begin(world, task, trial)
+    return PlannedCarry(
+        ControlStack(world, Kinematics()),
+        planner,
+        task,
+        trial,
+        index,
+        poses=true_poses(world, task),
+    )
+
+
 def drive(world: World, judge, method: Drive) -> Outcome:
     while not method.done and world.time < TASK.time_limit_s:
         method.step()
@@ -127,16 +141,7 @@ def test_a_hand_is_told_the_weight_that_it_bears_until_the_bottle_stands(
     planner: Planner,
 ) -> None:
     """A giver that sags under the bottle lets the taker close beside it."""
-    trial = TASK.trial(1, "plan", TO_THE_RIGHT)
-    begin(bench, TASK, trial)
-    carry = PlannedCarry(
-        ControlStack(bench, Kinematics()),
-        planner,
-        TASK,
-        trial,
-        TO_THE_RIGHT,
-        poses=true_poses(bench, TASK),
-    )
+    carry = begun(bench, planner, TASK, TO_THE_RIGHT)
     segments = carry.solution.segments
     borne_n = carry.stack.payload.force_n
 
@@ -167,16 +172,7 @@ def test_a_hand_that_closes_on_nothing_is_told_no_weight_and_lifts_nothing(
     bench: Slack,
     planner: Planner,
 ) -> None:
-    trial = TASK.trial(1, "plan", TO_THE_RIGHT)
-    begin(bench, TASK, trial)
-    carry = PlannedCarry(
-        ControlStack(bench, Kinematics()),
-        planner,
-        TASK,
-        trial,
-        TO_THE_RIGHT,
-        poses=true_poses(bench, TASK),
-    )
+    carry = begun(bench, planner, TASK, TO_THE_RIGHT)
     while not carry.done and carry.phase != "close":
         carry.step()
     joint = bench.model.body("bottle").jntadr[0]
@@ -194,16 +190,7 @@ def test_a_hand_that_closes_on_nothing_is_told_no_weight_and_lifts_nothing(
 def test_what_both_hands_hold_is_told_to_neither(planner: Planner) -> None:
     task = make_task(Config())
     world = World(task.scene)
-    trial = task.trial(1, "plan", 0)
-    begin(world, task, trial)
-    carry = PlannedCarry(
-        ControlStack(world, Kinematics()),
-        planner,
-        task,
-        trial,
-        0,
-        poses=true_poses(world, task),
-    )
+    carry = begun(world, planner, task, 0)
     while not carry.done and carry.phase not in ("lift", "carry"):
         carry.step()
     assert any(carry._left[0].scene.attached)

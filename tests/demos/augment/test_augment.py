@@ -12,44 +12,20 @@ import pytest
 from minidual.config.leading import MultiplyConfig
 from minidual.config.root import Config, changed
 from minidual.demos.augment.moving import carry_progress, distance, moved, moved_hands
-from minidual.demos.augment.segments import GOAL, START, SourceDemo, read_sources, source_demo
+from minidual.demos.augment.segments import START, SourceDemo, read_sources, source_demo
 from minidual.demos.episode import Episode
 from minidual.demos.leader import LeaderSetup
 from minidual.demos.leaders.augmented import AugmentedLeader
 from minidual.demos.rig import Job, Rig
-from minidual.demos.schema import EpisodeMeta
 from minidual.errors import DataError, UsageError
 from minidual.motion.ik import PoseUnreachableError
-from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, Array, pose, rot_z
-from minidual.skills.operator import ScriptedOperator
 from minidual.tasks.catalogue import make_task
-from minidual.tasks.task import Placement, placement
+from minidual.tasks.task import Placement
 from tests.support import data_samples
+from tests.support.carried_demo import SEED, carried, kinematics, write_carry
 
-SEED = 5
 NEAR_M = 0.12
-
-
-@functools.cache
-def kinematics() -> Kinematics:
-    return Kinematics(DUAL_PANDA)
-
-
-@functools.cache
-def carried() -> Episode:
-    """A scripted demonstration of the rod task, as its file would hold it."""
-    task = make_task(Config())
-    trial = task.trial(SEED, "demonstrations", 0)
-    operator = ScriptedOperator(task.scene, kinematics=kinematics())
-    demo = operator.plan(trial, seed=SEED)
-    extra = {
-        START: list(placement(trial.start["rod"])),
-        GOAL: list(placement(trial.goal["rod"])),
-    }
-    meta = EpisodeMeta(50.0, "carry", SEED, (), success=True, extra=extra)
-    times = np.arange(len(demo.q)) / 50.0
-    return Episode(meta, {}, demo.q, demo.gripper, demo.q, demo.gripper, times)
 
 
 @functools.cache
@@ -187,24 +163,6 @@ def _begins_at_the_grasp(episode: Episode) -> Episode:
 def test_what_is_no_carry_is_refused(change: object, words: str) -> None:
     with pytest.raises(DataError, match=words):
         source_demo(change(carried()), "one", kinematics(), NEAR_M)  # type: ignore[operator]
-
-
-def write_carry(folder: Path, number: int = 0) -> Path:
-    """Write the demonstration as an episode's file."""
-    one = carried()
-    data = {
-        "qpos": one.qpos,
-        "action": np.vstack([one.action[1:], one.action[-1:]]),
-        "gripper": one.gripper,
-        "action_gripper": one.action_gripper,
-        "timestamps": one.timestamps,
-        "images": {},
-    }
-    return data_samples.write(
-        folder / f"episode_{number:06d}.hdf5",
-        data,
-        extra=dict(one.meta.extra),
-    )
 
 
 def test_episodes_that_cannot_be_moved_are_left_out_and_named(tmp_path: Path) -> None:

@@ -34,8 +34,8 @@ from minidual.stages.troubles.trouble import (
     setting,
 )
 from scripts.troubleshooting_page import PAGE, page
-from tests.docs.test_docs import parse
 from tests.support.stage_criteria import MODULES, criteria_of
+from tests.support.typed_commands import parse
 
 ROOT = Path(__file__).resolve().parents[3]
 SOURCES = ROOT / "src" / "minidual"
