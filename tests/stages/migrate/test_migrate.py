@@ -15,7 +15,7 @@ from minidual.config.plant import PlantConfig
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.errors import GateClosedError, UsageError
-from minidual.gate.runner import Runner
+from minidual.gate.runner import Runner, StageOutcome
 from minidual.gate.store import RunStore
 from minidual.plant.contact import GROUP_COLLISION
 from minidual.plant.lifecycle import Connection
@@ -27,7 +27,7 @@ from minidual.stages.migrate.measured import StepMeasurements, Worst, checks_of
 from minidual.stages.migrate.meshes import small_meshes
 from minidual.stages.migrate.steps import STEPS, measure_step, shift_s, signatures
 from minidual.stages.migrate.table import MIGRATION, NAMES
-from minidual.stages.registry import STAGES
+from minidual.stages.registry import STAGES, TOOLS
 from tests.support.position_plant import Follower
 
 ADDRESS = "tests.support.position_plant:Follower"
@@ -314,18 +314,29 @@ class TestGates:
         assert "minidual migrate one-arm-10" in (error.value.remedy or "")
 
     def test_a_step_that_passed_on_another_plant_does_not_open_the_gate(
-        self, tmp_path: Path
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        first = self.runner(tmp_path, ADDRESS).run("one-arm-10")
+        """Nor does it count as done: without STEP the command goes on at what is open on the plant."""
+        folder = tmp_path / "standard"
+        first = self.runner(folder, ADDRESS).run("one-arm-10", {"signed-by": "A. Person"})
         assert first.exit_code == 0
         assert first.verdict.data["place"] == "test double"
         with pytest.raises(GateClosedError, match="one-arm-10 is stale"):
-            self.runner(tmp_path, "sim-position").run("both-arms-10")
+            self.runner(folder, "sim-position").run("both-arms-10")
+        chosen: list[str] = []
+
+        def run(_: Runner, step: str, *options: object, **others: object) -> StageOutcome:
+            chosen.append(step)
+            return first
+
+        monkeypatch.setattr(Runner, "run", run)
+        for address in (ADDRESS, "sim-position"):
+            words = ["migrate", "--plant", address, "--runs-dir", str(tmp_path)]
+            assert run_command_line(words, STAGES, TOOLS) == 0
+        assert chosen == ["both-arms-10", "one-arm-10"]
 
 
 def test_the_command_names_the_steps_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
-    from minidual.stages.registry import TOOLS
-
     code = run_command_line(["migrate", "step-6"], STAGES, TOOLS)
     assert code == 2
     assert "no step 'step-6'; there are both-arms-10" in capsys.readouterr().err

@@ -67,9 +67,8 @@ def migrate(
     if step is not None:
         check_name("step", step, MIGRATION)
     else:
-        open_step = _first_open(
-            Gate(MIGRATION, store, session.loaded, dict.fromkeys(MIGRATION, typed))
-        )
+        # On this plant; what is typed is for the next step, those that passed keep their options.
+        open_step = _first_open(Gate(MIGRATION, store, loaded))
         if open_step is None and not gate_options.force:
             return _passed(session, address)
         step = open_step or next(iter(MIGRATION))
