@@ -92,9 +92,9 @@ def printable(text: str) -> str:
     return _UNPRINTABLE.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
 
 
-def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:
-    """Return an error that lists the known names and suggests the closest."""
-    names = sorted(known)
+def unknown_name(kind: str, name: str, existing: Iterable[str]) -> UsageError:
+    """Return an error that lists the existing names and suggests the closest."""
+    names = sorted(existing)
     closest = _closest(name, names)
     remedy = None if closest is None else f"did you mean '{closest}'?"
     return UsageError(f"no {kind} '{name}'; there are {', '.join(names) or 'none'}", remedy=remedy)
@@ -110,7 +110,7 @@ def _closest(name: str, names: Sequence[str]) -> str | None:
     return similar[0] if similar else None
 
 
-def check_name(kind: str, name: str, known: Collection[str]) -> None:
-    """Raise `unknown_name` unless `known` contains `name`."""
-    if name not in known:
-        raise unknown_name(kind, name, known)
+def check_name(kind: str, name: str, existing: Collection[str]) -> None:
+    """Raise `unknown_name` unless `existing` contains `name`."""
+    if name not in existing:
+        raise unknown_name(kind, name, existing)

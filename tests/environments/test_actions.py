@@ -9,7 +9,14 @@ from minidual.config.control import SensingConfig
 from minidual.config.root import Config
 from minidual.environments.actions import ACTIONS, LEAD_M, arms_of, turned_plane, turned_together
 from minidual.environments.kernels import place_hands
-from minidual.environments.observations import LIFT, OBSERVATIONS, Seen, Truth, observe, size_of
+from minidual.environments.observations import (
+    LIFT,
+    OBSERVATIONS,
+    ObservationInputs,
+    Truth,
+    observe,
+    size_of,
+)
 from minidual.environments.senses import JointReadings, PoseSensors, Senses, hand_yaw, rotations
 from minidual.errors import UsageError
 from minidual.robot.pair import DUAL_PANDA
@@ -143,11 +150,11 @@ def test_turning_together_keeps_the_middle():
 
 def test_an_observation_has_the_size_of_its_terms():
     space = ACTIONS["pair_increments"](ARMS, 2)
-    seen = Seen(sensed_at(space.target), space, TASK)
+    inputs = ObservationInputs(sensed_at(space.target), space, TASK)
     for name, term in OBSERVATIONS.items():
         if term.privileged or "relative" in name:
             continue
-        assert observe((name,), seen).shape == (2, term.size(ROBOT)), name
+        assert observe((name,), inputs).shape == (2, term.size(ROBOT)), name
     assert size_of(LIFT, ROBOT) == 40
     assert not any(OBSERVATIONS[name].privileged for name in LIFT)
 
@@ -156,9 +163,12 @@ def test_privileged_terms_need_the_truth():
     space = ACTIONS["pair_increments"](ARMS, 1)
     sensed = sensed_at(space.target)
     with pytest.raises(UsageError, match="needs the truth"):
-        observe(("privileged_object",), Seen(sensed, space, TASK))
+        observe(("privileged_object",), ObservationInputs(sensed, space, TASK))
     truth = Truth(sensed.objects, np.zeros((1, 6)), np.zeros((1, 2)), np.zeros((1, 6)))
-    assert observe(("privileged_object",), Seen(sensed, space, TASK, truth)).shape == (1, 13)
+    assert observe(("privileged_object",), ObservationInputs(sensed, space, TASK, truth)).shape == (
+        1,
+        13,
+    )
 
 
 def test_to_grasps_is_zero_at_the_grasps():
@@ -169,8 +179,10 @@ def test_to_grasps_is_zero_at_the_grasps():
     grasps = TASK.objects["pot"].grasps
     hands = np.stack([T_pot @ grasps[side] for side in ROBOT.sides])[None]
     at_them = sensed._replace(hands=hands)
-    assert observe(("to_grasps",), Seen(at_them, space, TASK)) == pytest.approx(0.0, abs=1e-6)
-    assert np.abs(observe(("to_grasps",), Seen(sensed, space, TASK))).max() > 0.5
+    assert observe(("to_grasps",), ObservationInputs(at_them, space, TASK)) == pytest.approx(
+        0.0, abs=1e-6
+    )
+    assert np.abs(observe(("to_grasps",), ObservationInputs(sensed, space, TASK))).max() > 0.5
 
 
 def test_sensed_poses_are_late_and_off_as_configured():

@@ -74,7 +74,7 @@ class Stage:
         guard = Supervisor(dt_s=world.dt) if supervised else None
         self.stack = ControlStack(world, Kinematics(), supervisor=guard)
         self.runtime: Any = Mimic()
-        self.seen = modes_turns.Seen(scene, world.object_pose)
+        self.seen = modes_turns.KnownObject(scene, world.object_pose)
 
     def moveit(self, *, home: bool, share: float = 1.0) -> Turn:
         return modes_turns.moveit(self.stack, Planner(), SEED, self.seen, home=home, share=share)

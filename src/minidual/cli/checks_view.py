@@ -127,9 +127,9 @@ def _by_row(
     """Return {row: {compared name: check}}; nothing if fewer than two names have checks."""
     rows: dict[str, dict[str, Check]] = {}
     for check in checks:
-        found = _split(check.name, compared)
-        if found is not None:
-            column, row = found
+        place = _split(check.name, compared)
+        if place is not None:
+            column, row = place
             rows.setdefault(row, {})[column] = check
     columns = {column for row in rows.values() for column in row}
     return rows if len(columns) > 1 else {}

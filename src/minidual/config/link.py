@@ -48,9 +48,9 @@ class SimulatedNetwork:
         for part in text.split(","):
             name, _, value = part.strip().partition("=")
             if name not in _FORMS:
-                known = ", ".join(_FORMS)
+                parts = ", ".join(_FORMS)
                 raise ValueError(
-                    f"no part '{name}' of a network; there are {known}, as in {EXAMPLE}"
+                    f"no part '{name}' of a network; there are {parts}, as in {EXAMPLE}"
                 )
             if name in values:
                 raise ValueError(f"'{name}' is given twice")

@@ -165,9 +165,11 @@ class EpisodeWriter(contextlib.AbstractContextManager["EpisodeWriter"]):
     def _check_images(self, images: Mapping[str, NDArray[np.uint8]]) -> None:
         tick = len(self)
         if set(images) != set(self.meta.cameras):
-            given = ", ".join(sorted(images)) or "none"
+            brought = ", ".join(sorted(images)) or "none"
             declared = ", ".join(self.meta.cameras) or "none"
-            raise DataError(f"tick {tick} brings cameras {given}; the episode declares {declared}")
+            raise DataError(
+                f"tick {tick} brings cameras {brought}; the episode declares {declared}"
+            )
         for camera, image in images.items():
             key = schema.image_key(camera)
             if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:

@@ -32,7 +32,7 @@ from gymnasium.vector.utils import batch_space
 from minidual.config.root import Config, changed
 from minidual.environments.actions import ACTIONS, arms_of
 from minidual.environments.draws import Disturbed, Draws
-from minidual.environments.observations import CLIP, LIFT, Seen, observe, size_of
+from minidual.environments.observations import CLIP, LIFT, ObservationInputs, observe, size_of
 from minidual.environments.readings import Readings
 from minidual.environments.referee import Flags, Referee
 from minidual.environments.rewards import LIFT_REWARD, LiftState, Reward, RewardTerm
@@ -258,16 +258,16 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         return target, opening
 
     def _observe(self) -> Floats:
-        return observe(self.terms, self._readable())
+        return observe(self.terms, self._inputs())
 
-    def _readable(self) -> Seen:
-        """Return what terms of observations read."""
-        return Seen(self.sensed, self.actions, self.task, self.running.truth())
+    def _inputs(self) -> ObservationInputs:
+        """Return what terms of observations are computed from."""
+        return ObservationInputs(self.sensed, self.actions, self.task, self.running.truth())
 
     def _info(self, state: LiftState) -> dict[str, Any]:
         info: dict[str, Any] = {"success": state.succeeded.copy()}
         if self.privileged:
-            info["privileged"] = observe(self.privileged, self._readable())
+            info["privileged"] = observe(self.privileged, self._inputs())
         return info
 
     # Trials ------------------------------------------------------------------------------------

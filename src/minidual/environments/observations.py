@@ -1,6 +1,7 @@
 """Observations by name: the terms of which a policy's input is made.
 
-A term is a function of `Seen`, scaled so that usual values lie within +-1; all are clipped to +-5.
+A term is a function of `ObservationInputs`, scaled so that usual values lie within +-1; all are
+clipped to +-5.
 Terms of the truth are labelled `privileged`: for critics and measurements, never for a policy that
 runs. Other distributions add rows through the entry point group `minidual.observations`.
 """
@@ -41,8 +42,15 @@ class Truth(NamedTuple):
     offset: Array
 
 
-class Seen(NamedTuple):
-    """What terms read: readings, the action in force, the task and, for privileged ones, the truth."""
+class ObservationInputs(NamedTuple):
+    """What terms are computed from.
+
+    Attributes:
+        sensed: Readings.
+        actions: The action in force.
+        task: What is to be done.
+        truth: For privileged terms; None for a policy that runs.
+    """
 
     sensed: Sensed
     actions: Actions
@@ -62,69 +70,69 @@ class Term(NamedTuple):
 
     size: Callable[[Robot], int]
     unit: str
-    read: Callable[[Seen], Array]
+    read: Callable[[ObservationInputs], Array]
     privileged: bool = False
 
 
-def _joints(seen: Seen) -> Array:
-    robot = seen.actions.arms.robot
+def _joints(inputs: ObservationInputs) -> Array:
+    robot = inputs.actions.arms.robot
     middle = 0.5 * (robot.q_lower + robot.q_upper)
-    return (seen.sensed.q - middle) / (0.5 * (robot.q_upper - robot.q_lower))
+    return (inputs.sensed.q - middle) / (0.5 * (robot.q_upper - robot.q_lower))
 
 
-def _joint_torques(seen: Seen) -> Array:
-    return seen.sensed.torque / seen.actions.arms.robot.tau_max
+def _joint_torques(inputs: ObservationInputs) -> Array:
+    return inputs.sensed.torque / inputs.actions.arms.robot.tau_max
 
 
-def _grippers(seen: Seen) -> Array:
-    return np.concatenate([seen.sensed.gripper, seen.actions.opening], axis=1)
+def _grippers(inputs: ObservationInputs) -> Array:
+    return np.concatenate([inputs.sensed.gripper, inputs.actions.opening], axis=1)
 
 
-def _grip_forces(seen: Seen) -> Array:
-    return seen.sensed.grip_n / 60.0
+def _grip_forces(inputs: ObservationInputs) -> Array:
+    return inputs.sensed.grip_n / 60.0
 
 
-def _hand_wrenches(seen: Seen) -> Array:
+def _hand_wrenches(inputs: ObservationInputs) -> Array:
     scale = np.repeat([20.0, 2.0], 3)
-    return (seen.sensed.wrench / scale).reshape(len(seen.sensed.q), -1)
+    return (inputs.sensed.wrench / scale).reshape(len(inputs.sensed.q), -1)
 
 
-def _hands(seen: Seen) -> Array:
-    Ts = seen.sensed.hands
+def _hands(inputs: ObservationInputs) -> Array:
+    Ts = inputs.sensed.hands
     yaw = hand_yaw(Ts)[..., None]
     rows = np.concatenate([2.0 * Ts[..., :3, 3], yaw - np.pi / 2.0], axis=2)
     return rows.reshape(len(Ts), -1)
 
 
-def _leads(seen: Seen) -> Array:
+def _leads(inputs: ObservationInputs) -> Array:
     """Return how far the targets of the hands are ahead of them, in the object's directions."""
-    hands = seen.sensed.hands
-    target = seen.actions.hands
+    hands = inputs.sensed.hands
+    target = inputs.actions.hands
     ahead = target[..., :3, 3] - hands[..., :3, 3]
     turn = nearest_turn(hand_yaw(target) - hand_yaw(hands))
-    along = _in_plane(ahead, _yaw(seen)[:, None])
+    along = _in_plane(ahead, _yaw(inputs)[:, None])
     rows = np.concatenate([10.0 * along, 10.0 * ahead[..., 2:], 5.0 * turn[..., None]], axis=2)
     return rows.reshape(len(hands), -1)
 
 
-def _sensed_object(seen: Seen) -> Array:
-    T = seen.sensed.objects[:, 0]
-    yaw = _yaw(seen)
+def _sensed_object(inputs: ObservationInputs) -> Array:
+    T = inputs.sensed.objects[:, 0]
+    yaw = _yaw(inputs)
     return np.concatenate([2.0 * T[:, :3, 3], np.stack([np.cos(yaw), np.sin(yaw)], axis=1)], axis=1)
 
 
-def _to_grasps(seen: Seen) -> Array:
+def _to_grasps(inputs: ObservationInputs) -> Array:
     """Return where each hand is as seen from its grasp, coarse and fine.
 
     The height of an object that stands is known: only its sensed rise counts.
     """
-    sensed = seen.sensed
-    body = seen.task.objects[seen.task.carried]
+    sensed = inputs.sensed
+    body = inputs.task.objects[inputs.task.carried]
     place = sensed.objects[:, 0, :3, 3].copy()
-    place[:, 2] = body.body.rest_height_m + _rise(seen)
-    yaw = _yaw(seen)
+    place[:, 2] = body.body.rest_height_m + _rise(inputs)
+    yaw = _yaw(inputs)
     rows: list[Array] = []
-    for hand, side in enumerate(seen.actions.arms.robot.sides):
+    for hand, side in enumerate(inputs.actions.arms.robot.sides):
         T_grasp = body.grasps[side]
         away = sensed.hands[:, hand, :3, 3] - place
         across = _in_plane(away, yaw) - T_grasp[:2, 3]
@@ -136,73 +144,73 @@ def _to_grasps(seen: Seen) -> Array:
     return np.concatenate(rows, axis=1)
 
 
-def _to_goal(seen: Seen) -> Array:
-    sensed = seen.sensed
-    yaw = _yaw(seen)
+def _to_goal(inputs: ObservationInputs) -> Array:
+    sensed = inputs.sensed
+    yaw = _yaw(inputs)
     way = sensed.goal[:, :2] - sensed.objects[:, 0, :2, 3]
     along = _in_plane(way, yaw)
-    symmetry = seen.task.objects[seen.task.carried].symmetry
+    symmetry = inputs.task.objects[inputs.task.carried].symmetry
     turn = nearest_turn(sensed.goal[:, 2] - yaw, symmetry)
     turns = np.stack([2.0 * turn, 2.0 * yaw], axis=1)
     return np.concatenate([5.0 * along, np.tanh(along / 0.03), turns], axis=1)
 
 
-def _height(seen: Seen) -> Array:
-    rise = _rise(seen)
-    highest = np.minimum(seen.sensed.highest_m, 0.15)
+def _height(inputs: ObservationInputs) -> Array:
+    rise = _rise(inputs)
+    highest = np.minimum(inputs.sensed.highest_m, 0.15)
     return np.stack([10.0 * rise, np.tanh(rise / 0.01), 10.0 * highest], axis=1)
 
 
-def _tilt(seen: Seen) -> Array:
-    return 20.0 * seen.sensed.objects[:, 0, :2, 2]
+def _tilt(inputs: ObservationInputs) -> Array:
+    return 20.0 * inputs.sensed.objects[:, 0, :2, 2]
 
 
-def _time(seen: Seen) -> Array:
-    return seen.sensed.time_s[:, None] / 10.0
+def _time(inputs: ObservationInputs) -> Array:
+    return inputs.sensed.time_s[:, None] / 10.0
 
 
-def _relative_pose(seen: Seen) -> Array:
+def _relative_pose(inputs: ObservationInputs) -> Array:
     """Return the second object's pose in the first one, sensed: position and two of its axes."""
-    objects = seen.sensed.objects
+    objects = inputs.sensed.objects
     return _pose_between(objects[:, 0], objects[:, 1])
 
 
-def _true_relative_pose(seen: Seen) -> Array:
-    truth = _truth(seen)
+def _true_relative_pose(inputs: ObservationInputs) -> Array:
+    truth = _truth(inputs)
     return _pose_between(truth.objects[:, 0], truth.objects[:, 1])
 
 
-def _true_object(seen: Seen) -> Array:
-    truth = _truth(seen)
+def _true_object(inputs: ObservationInputs) -> Array:
+    truth = _truth(inputs)
     T = truth.objects[:, 0]
     yaw = yaw_of(T)
     turns = np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
     return np.concatenate([2.0 * T[:, :3, 3], turns, 20.0 * T[:, :2, 2], truth.twist], axis=1)
 
 
-def _true_pinch(seen: Seen) -> Array:
-    return _truth(seen).pinch_n / 60.0
+def _true_pinch(inputs: ObservationInputs) -> Array:
+    return _truth(inputs).pinch_n / 60.0
 
 
-def _true_offset(seen: Seen) -> Array:
+def _true_offset(inputs: ObservationInputs) -> Array:
     scale = np.repeat([0.01, 0.03], 3)
-    return _truth(seen).offset / scale
+    return _truth(inputs).offset / scale
 
 
-def _truth(seen: Seen) -> Truth:
-    if seen.truth is None:
+def _truth(inputs: ObservationInputs) -> Truth:
+    if inputs.truth is None:
         raise UsageError(
             "a privileged term of the observation needs the truth, which a method has not"
         )
-    return seen.truth
+    return inputs.truth
 
 
-def _yaw(seen: Seen) -> Array:
-    return yaw_of(seen.sensed.objects[:, 0])
+def _yaw(inputs: ObservationInputs) -> Array:
+    return yaw_of(inputs.sensed.objects[:, 0])
 
 
-def _rise(seen: Seen) -> Array:
-    return seen.sensed.objects[:, 0, 2, 3] - seen.sensed.first[:, 0, 2, 3]
+def _rise(inputs: ObservationInputs) -> Array:
+    return inputs.sensed.objects[:, 0, 2, 3] - inputs.sensed.first[:, 0, 2, 3]
 
 
 def _in_plane(vectors: Array, yaw: Array) -> Array:
@@ -268,8 +276,8 @@ def size_of(names: Sequence[str], robot: Robot) -> int:
     return sum(OBSERVATIONS[name].size(robot) for name in names)
 
 
-def observe(names: Sequence[str], seen: Seen) -> npt.NDArray[np.float32]:
+def observe(names: Sequence[str], inputs: ObservationInputs) -> npt.NDArray[np.float32]:
     """Return the observation (N, k) of these terms, clipped to +-5; NaN becomes 0."""
-    rows = [OBSERVATIONS[name].read(seen) for name in names]
+    rows = [OBSERVATIONS[name].read(inputs) for name in names]
     values = np.nan_to_num(np.concatenate(rows, axis=1), nan=0.0, posinf=CLIP, neginf=-CLIP)
     return np.clip(values, -CLIP, CLIP).astype(np.float32)

@@ -41,13 +41,13 @@ class Code:
         return sorted(name for name in names if self.modules.get(name) != now.modules.get(name))
 
 
-def code_of(targets: Iterable[str], known: Code | None = None) -> Code:
+def code_of(targets: Iterable[str], recorded: Code | None = None) -> Code:
     """Return the code that the targets ("module:attribute") reach.
 
-    `known` is returned if its files are unchanged.
+    `recorded` is returned if its files are unchanged.
     """
-    if known is not None and known.modules and _sources(known.modules) == known.sources:
-        return known
+    if recorded is not None and recorded.modules and _sources(recorded.modules) == recorded.sources:
+        return recorded
     modules: dict[str, str] = {}
     for target in targets:
         modules |= _reach(target)

@@ -23,16 +23,16 @@ class Footing(NamedTuple):
 def footing(entry: StageEntry, upstream: Mapping[str, StageState]) -> Footing:
     """Return what the stage of a row stands on now; `upstream`: states of its upstream stages."""
     inputs: dict[str, str] = {}
-    found: dict[str, str | None] = {}
+    results: dict[str, str | None] = {}
     for name, state in upstream.items():
         if state.verdict is None or entry.inputs is None:
-            found[name] = state.verdict_sha256
+            results[name] = state.verdict_sha256
         else:
-            found[name] = state.verdict.content()
+            results[name] = state.verdict.content()
         for path, sha256 in _artefacts(state).items():
             if entry.reads_artefact(name, path):
                 inputs[f"{name}/{path}"] = sha256
-    return Footing(inputs, found)
+    return Footing(inputs, results)
 
 
 def _artefacts(state: StageState) -> dict[str, str]:

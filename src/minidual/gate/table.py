@@ -52,17 +52,17 @@ def overrides(settings: Mapping[str, str], values: Mapping[str, Any]) -> list[Ov
     Raises:
         UsageError: What was typed for a mapping has no "=".
     """
-    found: list[Override] = []
+    changes: list[Override] = []
     for option, path in settings.items():
         typed = values.get(option)
         if typed is None or typed == []:
             continue
         if isinstance(_default(path), dict):
-            found += [_entry_override(path, option, word) for word in typed]
+            changes += [_entry_override(path, option, word) for word in typed]
             continue
         value = _words(str(typed)) if isinstance(_default(path), tuple) else typed
-        found.append(Override(path, value, f"--{option} {typed}"))
-    return found
+        changes.append(Override(path, value, f"--{option} {typed}"))
+    return changes
 
 
 def _words(text: str) -> list[str]:
@@ -167,7 +167,7 @@ class StageEntry(_Entry[StageFunction]):
     closing: bool = False
     compares: str = ""
 
-    def code(self, known: Code | None = None) -> Code:
+    def code(self, recorded: Code | None = None) -> Code:
         """Return the code that the stage reaches; see `code_of`."""
         targets: list[str] = []
         for target in (self.target, self.resolve):
@@ -175,7 +175,7 @@ class StageEntry(_Entry[StageFunction]):
                 targets.append(target)
             elif isinstance(target, Deferred):
                 targets += target.modules
-        return code_of(targets, known)
+        return code_of(targets, recorded)
 
     def resolved(self, config: Config, *, checked: bool = False) -> Config:
         """Return the resolved configuration; `checked` runs `check` first.

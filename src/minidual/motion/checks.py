@@ -20,7 +20,7 @@ _STILL_RAD = 1e-6
 _NEAR_M = 0.001
 
 
-def check_pose(T: Array, what: str) -> Array:
+def check_pose(T: Array, subject: str) -> Array:
     """Return T (4, 4).
 
     Raises:
@@ -28,16 +28,16 @@ def check_pose(T: Array, what: str) -> Array:
     """
     T = np.asarray(T, dtype=float)
     if T.shape != (4, 4):
-        raise UsageError(f"{what} has shape {T.shape}; a pose is (4, 4)")
+        raise UsageError(f"{subject} has shape {T.shape}; a pose is (4, 4)")
     if not np.isfinite(T).all():
-        raise UsageError(f"{what} holds a value that is not finite: {T.ravel().tolist()}")
+        raise UsageError(f"{subject} holds a value that is not finite: {T.ravel().tolist()}")
     R = T[:3, :3]
     off = np.abs(R @ R.T - np.eye(3)).max()
     det = np.linalg.det(R)
     last_row_off = np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max()
     if off > _ORTHONORMAL or det < 0.0 or last_row_off > _LAST_ROW:
         raise UsageError(
-            f"{what} is no rigid pose: R R^T is {off:.2g} from the identity, det {det:.3f}",
+            f"{subject} is no rigid pose: R R^T is {off:.2g} from the identity, det {det:.3f}",
         )
     return T
 
@@ -48,7 +48,7 @@ def place_text(T: Array) -> str:
     return f"({x:.3f}, {y:.3f}, {z:.3f}) m"
 
 
-def check_joints(q: Array, what: str, robot: Robot) -> Array:
+def check_joints(q: Array, subject: str, robot: Robot) -> Array:
     """Return q (n,), on its limit where it is beyond by no more than rounding.
 
     Raises:
@@ -57,12 +57,12 @@ def check_joints(q: Array, what: str, robot: Robot) -> Array:
     q = np.array(q, dtype=float)
     if q.shape != (robot.dof,):
         raise OutOfLimitsError(
-            f"the {what} has shape {q.shape}; all {robot.dof} joints are needed, left arm first",
+            f"the {subject} has shape {q.shape}; all {robot.dof} joints are needed, left arm first",
         )
     if not np.isfinite(q).all():
         bad = int(np.argmin(np.isfinite(q)))
         raise OutOfLimitsError(
-            f"the {what} has {robot.joint_names[bad]} = {q[bad]}; it must be a finite number",
+            f"the {subject} has {robot.joint_names[bad]} = {q[bad]}; it must be a finite number",
         )
     if outside_limits(q, robot).any():
         worst = int(np.argmax(np.maximum(robot.q_lower - q, q - robot.q_upper)))
@@ -70,7 +70,7 @@ def check_joints(q: Array, what: str, robot: Robot) -> Array:
         lower = joint_text(robot.q_lower[worst])
         upper = joint_text(robot.q_upper[worst])
         raise OutOfLimitsError(
-            f"the {what} has {robot.joint_names[worst]} = {value} rad; "
+            f"the {subject} has {robot.joint_names[worst]} = {value} rad; "
             f"its limits are {lower} to {upper} rad",
         )
     return clipped(q, robot)
@@ -81,7 +81,7 @@ def goal_joints(
     q_start: Array,
     q_goal: Array,
     robot: Robot,
-    what: str = "goal",
+    subject: str = "goal",
 ) -> Array:
     """Return the goal (n,), completed from the start if of the group's size.
 
@@ -94,8 +94,8 @@ def goal_joints(
     full = np.array(q_start)
     if q_goal.shape == full[joints].shape:
         full[joints] = q_goal
-        return check_joints(full, what, robot)
-    full[joints] = check_joints(q_goal, what, robot)[joints]
+        return check_joints(full, subject, robot)
+    full[joints] = check_joints(q_goal, subject, robot)[joints]
     if np.abs(full - q_goal).max() > _STILL_RAD:
         raise UsageError(
             f"the goal moves joints outside {group}, which holds the other arm",
@@ -104,7 +104,7 @@ def goal_joints(
     return full
 
 
-def require_free(engines: SceneEngines, q: Array, what: str) -> None:
+def require_free(engines: SceneEngines, q: Array, subject: str) -> None:
     """Check that q (n,), the "start" or "goal", is free.
 
     Raises:
@@ -113,14 +113,14 @@ def require_free(engines: SceneEngines, q: Array, what: str) -> None:
     near = engines.closest(q, _NEAR_M)
     if not near or near[0].distance_m > 0.0:
         return
-    error_type = StartInCollisionError if what == "start" else GoalInCollisionError
+    error_type = StartInCollisionError if subject == "start" else GoalInCollisionError
     min_distance_m = engines.scene.min_distance_m
     # Obstacles are grown by this distance, so being near one counts as contact.
     grown = ""
     if min_distance_m > 0.0:
         grown = f" (the scene keeps {min_distance_m * 1e3:g} mm from obstacles)"
     raise error_type(
-        f"the {what} is in collision: {near[0]}{grown}",
+        f"the {subject} is in collision: {near[0]}{grown}",
         remedy="move it, remove the obstacle, or allow the pair in the scene",
     )
 

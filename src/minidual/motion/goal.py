@@ -76,8 +76,8 @@ class Goal(StrictModel):
     def _one_kind(self) -> Self:
         kinds = [kind for kind in _KINDS if getattr(self, kind) is not None]
         if len(kinds) != 1:
-            given = " and ".join(kinds) or "no goal"
-            raise ValueError(f"it holds {given}; give one of {', '.join(_KINDS)}")
+            present = " and ".join(kinds) or "no goal"
+            raise ValueError(f"it holds {present}; give one of {', '.join(_KINDS)}")
         hands = self.poses or self.move
         if hands is not None and not hands.named():
             raise ValueError(f"{kinds[0]} names neither left nor right")

@@ -208,11 +208,11 @@ def _statistics(folder: Path) -> dict[str, Array]:
     """Return the statistics of the preprocessor by name."""
     from safetensors.numpy import load_file
 
-    found: dict[str, Array] = {}
+    statistics: dict[str, Array] = {}
     for path in sorted(folder.glob("policy_*processor_step_*.safetensors")):
         for name, values in load_file(path).items():
-            found[name] = np.asarray(values, dtype=float)
-    return found
+            statistics[name] = np.asarray(values, dtype=float)
+    return statistics
 
 
 def _missing(config: Mapping[str, Any], statistics: Mapping[str, Array]) -> tuple[str, ...]:

@@ -64,9 +64,9 @@ def _config(folder: Path, device: str) -> Any:
     record = durable.read_json(folder / CONFIG)
     name = record.pop("type")
     register_third_party_plugins()
-    known = PreTrainedConfig.get_known_choices()
-    if name not in known:
-        unknown = unknown_name("policy", name, {*POLICIES, *known})
+    choices = PreTrainedConfig.get_known_choices()
+    if name not in choices:
+        unknown = unknown_name("policy", name, {*POLICIES, *choices})
         raise DataError(
             f"checkpoint {folder}: {unknown.message}",
             remedy=unknown.remedy or "install the distribution lerobot_policy_... that has it",
@@ -76,7 +76,7 @@ def _config(folder: Path, device: str) -> Any:
     for key in _DOWNLOADS:
         if key in record:
             record[key] = None
-    config = draccus.decode(known[name], record)
+    config = draccus.decode(choices[name], record)
     check_sizes(config)
     return config
 

@@ -118,14 +118,14 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"a message cannot hold a {type(value).__name__}")
 
 
-def _array(found: dict[Any, Any]) -> Any:
+def _array(mapping: dict[Any, Any]) -> Any:
     """Return the array that a map stands for, or the map; openpi's keys are bytes."""
     named = {
         key.decode("utf-8", "replace") if isinstance(key, bytes) else key: value
-        for key, value in found.items()
+        for key, value in mapping.items()
     }
     if _MARK not in named:
-        return found
+        return mapping
     text = named["dtype"]
     dtype = np.dtype(text.decode() if isinstance(text, bytes) else text)
     if dtype.kind not in _KINDS:

@@ -196,10 +196,10 @@ class PolicyRuntime:
         """Raise DataError if a camera of the policy is missing."""
         for camera in self.cameras:
             if camera not in images:
-                given = ", ".join(sorted(images)) or "none"
+                present = ", ".join(sorted(images)) or "none"
                 raise DataError(
                     f"no image of camera '{camera}': "
-                    f"the policy needs {', '.join(self.cameras)}, given were {given}",
+                    f"the policy needs {', '.join(self.cameras)}, given were {present}",
                 )
 
     def _delay_ticks(self) -> int:

@@ -72,9 +72,9 @@ class ServerPolicy(ChunkPolicy):
         actions = answer.get("actions")
         expected = (self.chunk_size, self.dim)
         if not isinstance(actions, np.ndarray) or actions.shape != expected:
-            given = getattr(actions, "shape", type(actions).__name__)
+            shape = getattr(actions, "shape", type(actions).__name__)
             raise DataError(
-                f"the policy server {self.address} answers 'actions' {given};"
+                f"the policy server {self.address} answers 'actions' {shape};"
                 f" its first message said {expected}",
             )
         return actions.astype(np.float64)

@@ -68,15 +68,15 @@ def unit_of(path: Path) -> float:
     if path.suffix.lower() != ".dae":
         return 1.0
     with path.open("rb") as file:
-        found = _UNIT.search(file.read(_HEAD_BYTES))
-    if found is None:
+        match = _UNIT.search(file.read(_HEAD_BYTES))
+    if match is None:
         return 1.0
     try:
-        unit_m = float(found[1])
+        unit_m = float(match[1])
     except ValueError:
         unit_m = 0.0
     if not 0.0 < unit_m < float("inf"):
-        text = found[1].decode(errors="replace")
+        text = match[1].decode(errors="replace")
         raise UsageError(f"{path}: its unit is '{text}' m; it must be a positive number")
     return unit_m
 

@@ -177,12 +177,12 @@ def _at_known_height(
     poses: Mapping[str, Array],
 ) -> dict[str, Array]:
     """Return level poses (4, 4); what starts on the table has its known height."""
-    known: dict[str, Array] = {}
+    level_poses: dict[str, Array] = {}
     for name, T in poses.items():
         starts_on_table = isinstance(trial.start.get(name), tuple)
         where = placement(T) if starts_on_table else level_part(T)
-        known[name] = pose_of(task.objects[name].body, where)
-    return known
+        level_poses[name] = pose_of(task.objects[name].body, where)
+    return level_poses
 
 
 def _stage_of(solution: Solution, segment: Segment) -> int:

@@ -65,14 +65,14 @@ def check(text: str, robot: Robot) -> ToolResult:
 def stats(text: str, robot: Robot, csv: str | None) -> ToolResult:
     """Say what the demonstrations at a path hold; `csv` takes a row for each episode."""
     table = target_file("csv", csv, ".csv")
-    found, rows = data_stats(open_data(text, robot), Kinematics(robot))
-    lines = [*stats_lines(found), "", *aligned(entry_rows(found))]
+    totals, rows = data_stats(open_data(text, robot), Kinematics(robot))
+    lines = [*stats_lines(totals), "", *aligned(entry_rows(totals))]
     if table is not None:
         write_csv(table, rows)
         lines.append(f"episodes: {table}")
-    document = found._asdict()
+    document = totals._asdict()
     document["entries"] = [
-        {key: _plain(value) for key, value in entry._asdict().items()} for entry in found.entries
+        {key: _plain(value) for key, value in entry._asdict().items()} for entry in totals.entries
     ]
     return ToolResult(lines, data={**document, "episodes": rows})
 
@@ -113,14 +113,14 @@ def show(
     recording = target_file("rrd", rrd, ".rrd")
     source = open_data(text, robot)
     findings = check_data(source)
-    found, _ = data_stats(source, Kinematics(robot))
+    totals, _ = data_stats(source, Kinematics(robot))
     numbers = _numbers(episodes, source)
     written: list[Path] = []
     if recording is not None:
         write_rerun(source, numbers, recording)
         written.append(recording)
     if page is not None and (out is not None or recording is None):
-        write_page(source, numbers, findings, stats_lines(found), page)
+        write_page(source, numbers, findings, stats_lines(totals), page)
         written.append(page)
     lines = [f"written: {path}" for path in written]
     if len(numbers) < len(source):

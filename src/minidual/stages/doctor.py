@@ -49,17 +49,17 @@ type Examine = Callable[[ToolContext], Examination]
 def doctor(context: ToolContext) -> ToolResult:
     """Examine every part, whatever is wrong with the others; exit 1 if anything is."""
     rows: list[dict[str, Any]] = []
-    found: list[Fault] = []
+    findings: list[Fault] = []
     for part, examine in _parts(context).items():
         context.progress.note(f"doctor: {part}")
         examined, part_faults = _examine(context, part, examine)
         rows.append(
             {"part": part, "examined": examined or "nothing yet", "faults": len(part_faults)},
         )
-        found += part_faults
+        findings += part_faults
     table = context.gate.table
     upstream = {name: [other for other in table.until(name) if other != name] for name in table}
-    faults = diagnose(found, upstream)
+    faults = diagnose(findings, upstream)
     code = ExitCode.ACCEPTANCE_FAILED if faults else ExitCode.PASS
     documents = [_document(fault) for fault in faults]
     lines = [*markdown(rows), *as_lines(faults)]

@@ -161,12 +161,14 @@ def _demo(
             share = 1.0 if last else _INTERRUPT_SHARE
             turns.append(
                 modes_turns.moveit(
-                    stack, planner, context.seed, place.seen, home=goes_home, share=share
+                    stack, planner, context.seed, place.known_object, home=goes_home, share=share
                 ),
             )
         elif mode == "teleop":
             seed = context.seed
-            turns.append(modes_turns.teleop(stack, operator, trial, seed, rate_hz, place.seen))
+            turns.append(
+                modes_turns.teleop(stack, operator, trial, seed, rate_hz, place.known_object)
+            )
         elif checkpoint is not None and place.world is not None and place.senses is not None:
             runtime = load_runtime(checkpoint, config.deploy, robot)
             picture = place.senses.picture

@@ -18,7 +18,7 @@ from minidual.plant.world import World
 from minidual.robot.pair import robot_from
 from minidual.skills.plant_home import bring_home
 from minidual.tasks.task import Trial, placement, pose_of
-from minidual.trials.modes_turns import Seen
+from minidual.trials.modes_turns import KnownObject
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class ModesPlace:
     Attributes:
         plant: What is driven.
         kind: `simulator`, `emulator`, `hardware` or what the plant says.
-        seen: What the modes know of the object.
+        known_object: What the modes know of the object.
         world: What is judged and drawn; None where nothing is simulated.
         senses: Pictures for a policy; None without a world.
         on_reflex: Keeps the last second before a reflex, in the simulator.
@@ -37,7 +37,7 @@ class ModesPlace:
 
     plant: Plant
     kind: str
-    seen: Seen
+    known_object: KnownObject
     world: World | None = None
     senses: Senses | None = None
     on_reflex: OnReflex | None = None
@@ -71,7 +71,7 @@ def _simulated(context: ToolContext, trial: Trial) -> ModesPlace:
     return ModesPlace(
         world,
         "simulator",
-        Seen(scene, world.object_pose),
+        KnownObject(scene, world.object_pose),
         world,
         SimulatedSenses(world, world.dt),
         dumping(recorder),
@@ -101,7 +101,7 @@ def _on_plant(
         twin.place(trial.goal)
         world = twin.world
         senses = SimulatedSenses(world, plant.dt)
-        return ModesPlace(plant, link.place, Seen(scene, world.object_pose), world, senses)
+        return ModesPlace(plant, link.place, KnownObject(scene, world.object_pose), world, senses)
     name = scene.object.name
     T_world_object = pose_of(scene.object, trial.goal[name])
     x, y, yaw = placement(T_world_object)
@@ -109,5 +109,7 @@ def _on_plant(
         f"nothing senses the object on plant '{link.address}': a person has put the {name} at "
         f"x {x:.3f} m, y {y:.3f} m, yaw {yaw:.3f} rad, or the hands stay empty"
     )
-    seen = Seen(scene, T_world_object.copy)
-    return ModesPlace(plant, link.place, seen, notes=(note, "no camera: signals are drawn instead"))
+    known_object = KnownObject(scene, T_world_object.copy)
+    return ModesPlace(
+        plant, link.place, known_object, notes=(note, "no camera: signals are drawn instead")
+    )

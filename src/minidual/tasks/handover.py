@@ -91,12 +91,12 @@ def draw_either_way(
     return {name: (x, -y, -yaw)}, {name: (goal_x, -goal_y, -goal_yaw)}
 
 
-def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[tuple[Step, ...]]:
+def hand_over(task: Task, trial: Trial, poses: Mapping[str, Array]) -> Iterator[tuple[Step, ...]]:
     """Yield the steps, then those with another grasp of the giver."""
     name = task.carried
     body = task.scene.object
     left, right = SIDES
-    left_gives = bool(seen[name][1, 3] > 0.0)
+    left_gives = bool(poses[name][1, 3] > 0.0)
     giver, taker = (left, right) if left_gives else (right, left)
 
     # Both hands close along one axis, along which the giver has centred the bottle. The last joint

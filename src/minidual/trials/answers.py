@@ -129,11 +129,11 @@ def answers_of(
     contrasts: Iterable[Mapping[str, Any]],
 ) -> list[Answer]:
     """Return the answers in the rows of `compare_all` and `contrast_all` of one task, uncorrected."""
-    found = [Contrast(**row) for row in contrasts]
+    differences = [Contrast(**row) for row in contrasts]
     answers: list[Answer] = []
     for row in comparisons:
         pair = (row["condition"], row["first"], row["second"])
-        own = [contrast for contrast in found if _pair_of(contrast) == pair]
+        own = [contrast for contrast in differences if _pair_of(contrast) == pair]
         answers.append(
             Answer(
                 task=task,
@@ -166,8 +166,8 @@ def answer(task: str, trials: Sequence[TrialMetrics], seed: int = 0) -> Answer:
         seed: Of the bootstrap.
     """
     rows = [contrast.to_row() for contrast in contrast_all(trials, seed)]
-    (found,) = answers_of(task, compare_all(trials, seed), rows)
-    return corrected([found])[0]
+    (answer,) = answers_of(task, compare_all(trials, seed), rows)
+    return corrected([answer])[0]
 
 
 def corrected(answers: Sequence[Answer]) -> list[Answer]:

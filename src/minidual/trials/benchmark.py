@@ -74,22 +74,22 @@ def trials_asked(config: Config) -> dict[str, dict[str, int]]:
     settings = config.benchmark
     conditions = parse_conditions(settings.conditions)
     more = _condition_trials(config)
-    asked: dict[str, dict[str, int]] = {}
+    trials_n: dict[str, dict[str, int]] = {}
     for task in settings.tasks or (config.task,):
-        asked[task] = {
+        trials_n[task] = {
             name: max(settings.perturbed_trials_n, more.get(name, {}).get(task, 0))
             for name in conditions
         }
-        asked[task][CLEAN] = settings.trials_n
+        trials_n[task][CLEAN] = settings.trials_n
     if settings.tasks:
-        return asked
+        return trials_n
     for task, clean_n in settings.further_tasks.items():
-        if task not in asked:
-            asked[task] = {CLEAN: min(clean_n, settings.trials_n)}
+        if task not in trials_n:
+            trials_n[task] = {CLEAN: min(clean_n, settings.trials_n)}
             for name in conditions:
                 if task in more.get(name, {}):
-                    asked[task][name] = more[name][task]
-    return asked
+                    trials_n[task][name] = more[name][task]
+    return trials_n
 
 
 def _condition_trials(config: Config) -> dict[str, Mapping[str, int]]:
@@ -99,8 +99,8 @@ def _condition_trials(config: Config) -> dict[str, Mapping[str, int]]:
         UsageError: Unknown condition or task, or `clean`, which has settings of its own.
     """
     trials_n: dict[str, Mapping[str, int]] = {}
-    for given, by_task in config.benchmark.condition_trials.items():
-        name = condition(given).name
+    for typed_name, by_task in config.benchmark.condition_trials.items():
+        name = condition(typed_name).name
         if name == CLEAN:
             raise UsageError(
                 "benchmark.condition_trials names 'clean', whose trials have settings of their own",

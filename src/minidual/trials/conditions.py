@@ -238,19 +238,19 @@ def rooms(names: Sequence[str]) -> tuple[Room, ...]:
     return tuple((row.name, row.applied) for row in chosen)
 
 
-def parse_conditions(given: Sequence[str]) -> tuple[str, ...]:
+def parse_conditions(typed: Sequence[str]) -> tuple[str, ...]:
     """Return the full names, `clean` first; `all` stands for every condition.
 
     Raises:
         UsageError: Unknown or repeated name, or no `clean`.
     """
-    if list(given) == [ALL]:
+    if list(typed) == [ALL]:
         return tuple(CONDITIONS)
-    if ALL in given:
+    if ALL in typed:
         raise UsageError(
-            f"'{ALL}' stands for every condition; leave out the others of {', '.join(given)}",
+            f"'{ALL}' stands for every condition; leave out the others of {', '.join(typed)}",
         )
-    names = CONDITIONS.names([condition(name).name for name in given])
+    names = CONDITIONS.names([condition(name).name for name in typed])
     if CLEAN not in names:
         option = ",".join(name.replace(" ", "_") for name in (CLEAN, *names))
         reason = "the limits hold there, and every loss is counted from it"

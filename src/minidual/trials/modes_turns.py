@@ -35,12 +35,12 @@ type Steps = Generator[None, None, dict[str, object]]
 """Proposes commands; each `yield` is one control step. Returns the turn's result."""
 
 
-class Seen(NamedTuple):
-    """What the modes know of the object.
+class KnownObject(NamedTuple):
+    """What planner and leader know of the object.
 
     Attributes:
-        scene: That they stand in.
-        T_world_object: Returns its pose (4, 4).
+        scene: In which it stands.
+        T_world_object: Returns its present pose (4, 4).
     """
 
     scene: SceneConfig
@@ -90,7 +90,7 @@ def moveit(
     stack: ControlStack[Plant],
     planner: Planner,
     seed: int,
-    seen: Seen,
+    known_object: KnownObject,
     *,
     home: bool,
     share: float = 1.0,
@@ -108,7 +108,7 @@ def moveit(
         if home:  # the other arm is held in place
             q_goal = robot.home[robot.groups[group]]
             return planner.plan_to_joints(group, plant.q, q_goal, seed=seed)
-        targets = _above_the_object(seen, robot)
+        targets = _above_the_object(known_object, robot)
         return planner.plan_to_poses(group, plant.q, targets, seed=seed)
 
     def drive() -> Steps:
@@ -147,11 +147,11 @@ def moveit(
     return Turn("moveit", "planned: to above the object", drive)
 
 
-def _above_the_object(seen: Seen, robot: Robot) -> dict[str, Array]:
+def _above_the_object(known_object: KnownObject, robot: Robot) -> dict[str, Array]:
     """Return T_world_tcp (4, 4) of each hand over its grasp."""
-    T_world_above = level_part(seen.T_world_object())
+    T_world_above = level_part(known_object.T_world_object())
     T_world_above[2, 3] += PHASES["approach"].rise_m
-    offsets = zip(robot.sides, grasp_offsets(seen.scene), strict=True)
+    offsets = zip(robot.sides, grasp_offsets(known_object.scene), strict=True)
     return {arm: T_world_above @ T_object_tcp for arm, T_object_tcp in offsets}
 
 
@@ -168,14 +168,14 @@ def teleop(
     target: Trial,
     seed: int,
     rate_hz: float,
-    seen: Seen,
+    known_object: KnownObject,
 ) -> Turn:
     """Let a scripted leader put the object down at `target`'s start, then go home."""
     plant = stack.plant
 
     def motion() -> _LeaderMotion:
-        start = placement(level_part(seen.T_world_object()))
-        trial = Trial("modes", 0, {seen.scene.object.name: start}, target.start)
+        start = placement(level_part(known_object.T_world_object()))
+        trial = Trial("modes", 0, {known_object.scene.object.name: start}, target.start)
         plan = operator.plan(trial, seed=seed, rate_hz=rate_hz)
         first = round(operator.phases()["approach"][1] * rate_hz)
         there = _rest_to_rest(plant.q, plan.q[first], rate_hz)
@@ -196,7 +196,7 @@ def teleop(
             stack.propose("teleop", JointCommand(q[k], opening[k], plant.time, next(sequence)))
             yield
         x, y, _ = placement(next(iter(target.start.values())))
-        error = level_part(seen.T_world_object())[:2, 3] - (x, y)
+        error = level_part(known_object.T_world_object())[:2, 3] - (x, y)
         return {"goal_error_m": float(np.hypot(*error))}
 
     return Turn("teleop", "scripted leader: fetches the object, puts it at a new start", drive)

@@ -106,12 +106,12 @@ def check_takes(method: str, link: Connection) -> None:
     kinds = METHODS[method].kinds
     if set(kinds) & set(link.kinds):
         return
-    given = " or ".join(kinds)
+    produced = " or ".join(kinds)
     taken = " and ".join(link.kinds)
     able = [name for name, spec in METHODS.items() if set(spec.kinds) & set(link.kinds)]
     why_not = getattr(link.plant, "why_not", {}).get(CommandKind.TORQUE, "")
     raise UsageError(
-        f"the method '{method}' gives {given} commands, and plant '{link.address}' takes {taken}"
+        f"the method '{method}' gives {produced} commands, and plant '{link.address}' takes {taken}"
         f"{'; ' if why_not else ''}{why_not}",
         remedy=f"it can be driven by {', '.join(able)}",
     )

@@ -37,7 +37,7 @@ class TestLibraries:
 
         monkeypatch.setattr(installation.importlib.metadata, "version", version)
         read = {
-            library.name: (library.wanted, library.found, library.fits)
+            library.name: (library.wanted, library.installed, library.fits)
             for library in required_libraries()
         }
         assert read == {

@@ -29,10 +29,10 @@ def leader_calibrate(
 
     config = session.loaded.config
     path = Path(file or config.teleop.gello.file)
-    found = calibrate(path, robot_from(config.robot))
+    calibrations = calibrate(path, robot_from(config.robot))
     arms: dict[str, object] = {}
     lines = [f"offsets written to {path}"]
-    for side, calibration in found.items():
+    for side, calibration in calibrations.items():
         offsets = [f"{offset:+.3f}" for offset in calibration.arm.offsets_rad]
         off = [f"{value:+.2f}" for value in calibration.off_rad]
         lines.append(f"{side}: offsets {' '.join(offsets)} rad; held off by {' '.join(off)} rad")

@@ -12,7 +12,7 @@ import cv2
 import h5py
 import numpy as np
 
-from minidual.demos.data.source import DataEpisode, Found, Image
+from minidual.demos.data.source import DataEpisode, EpisodeReading, Image
 from minidual.demos.episode import is_unsafe
 from minidual.demos.faults import EpisodeFault
 
@@ -37,17 +37,17 @@ def is_aloha(file: h5py.File) -> bool:
     return _STATE in file and "action" in file and "schema_version" not in file.attrs
 
 
-def read_aloha(file: h5py.File, path: Path) -> Found:
+def read_aloha(file: h5py.File, path: Path) -> EpisodeReading:
     """Return the episode of an open file."""
     faults: list[EpisodeFault] = []
     state = _rows(file, _STATE, faults)
     action = _rows(file, "action", faults)
     effort = _rows(file, "observations/effort", faults) if "observations/effort" in file else None
     if state is None or action is None:
-        return Found(path.name, None, tuple(faults))
+        return EpisodeReading(path.name, None, tuple(faults))
     if len(state) != len(action):
         detail = f"{_STATE} has {len(state)} rows, action {len(action)}"
-        return Found(path.name, None, (EpisodeFault("field_wrong", detail),))
+        return EpisodeReading(path.name, None, (EpisodeFault("field_wrong", detail),))
     cameras: dict[str, tuple[int, int]] = {}
     for camera, dataset in _cameras(file).items():
         size = _picture_size(dataset)
@@ -70,7 +70,7 @@ def read_aloha(file: h5py.File, path: Path) -> Found:
         effort=effort,
         facts={"sim": bool(file.attrs.get("sim", False))},
     )
-    return Found(path.name, episode, tuple(faults))
+    return EpisodeReading(path.name, episode, tuple(faults))
 
 
 def aloha_pictures(file: h5py.File, camera: str) -> Image:

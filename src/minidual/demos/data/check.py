@@ -11,7 +11,7 @@ from minidual.demos import checks
 from minidual.demos.checks import Thumbnails, camera_references, check_swapped, thumbnails
 from minidual.demos.data.hdf5_source import Hdf5Source
 from minidual.demos.data.lerobot_source import LeRobotSource
-from minidual.demos.data.source import DataEpisode, DataSource, Found, Image
+from minidual.demos.data.source import DataEpisode, DataSource, EpisodeReading, Image
 from minidual.demos.episode import TICKS_MIN
 from minidual.demos.faults import EpisodeFault
 from minidual.demos.lerobot_video import BRIGHTNESS_MAX, colour_difference
@@ -29,8 +29,8 @@ class Finding(NamedTuple):
     fault: EpisodeFault
 
 
-class _Seen(NamedTuple):
-    """What was seen of an episode's pictures: checksums and a thumbnail by camera."""
+class _PictureRecord(NamedTuple):
+    """Checksums and a thumbnail of an episode's pictures, by camera."""
 
     checksums: dict[str, tuple[int, ...]]
     views: dict[str, np.ndarray]
@@ -42,17 +42,17 @@ def check_data(source: DataSource) -> list[Finding]:
     Raises:
         DataError: The pictures of a dataset are damaged.
     """
-    every = list(source.episodes())
-    faults: list[list[EpisodeFault]] = [list(found.faults) for found in every]
+    readings = list(source.episodes())
+    faults: list[list[EpisodeFault]] = [list(reading.faults) for reading in readings]
     own = isinstance(source, Hdf5Source) and source.is_own
-    for number, found in enumerate(every):
-        if found.episode is not None and not own:
-            faults[number] += check_numbers(found.episode)
-    seen = _check_pictures(source, every, faults, own=own)
-    _check_across(seen, faults, own=own)
+    for number, reading in enumerate(readings):
+        if reading.episode is not None and not own:
+            faults[number] += check_numbers(reading.episode)
+    records = _check_pictures(source, readings, faults, own=own)
+    _check_across(records, faults, own=own)
     return [
-        Finding(found.name, fault)
-        for found, of_episode in zip(every, faults, strict=True)
+        Finding(reading.name, fault)
+        for reading, of_episode in zip(readings, faults, strict=True)
         for fault in of_episode
     ]
 
@@ -98,27 +98,27 @@ def _check_jumps(episode: DataEpisode) -> Iterator[EpisodeFault]:
 
 def _check_pictures(
     source: DataSource,
-    every: list[Found],
+    readings: list[EpisodeReading],
     faults: list[list[EpisodeFault]],
     *,
     own: bool,
-) -> list[_Seen]:
-    """Add the faults of pictures; return what was seen of each episode."""
-    seen = [_Seen({}, {}) for _ in every]
+) -> list[_PictureRecord]:
+    """Add the faults of pictures; return the record of each episode's."""
+    records = [_PictureRecord({}, {}) for _ in readings]
     for camera in source.cameras():
         for number, images in source.pictures(camera):
-            episode = every[number].episode
+            episode = readings[number].episode
             if episode is None or not len(images):
                 continue
             if not own:
                 faults[number] += checks.check_images({camera: images}, episode.state)
             if isinstance(source, LeRobotSource):
                 faults[number] += _check_colour(source, camera, number, images)
-            seen[number].checksums[camera] = tuple(
+            records[number].checksums[camera] = tuple(
                 zlib.crc32(np.ascontiguousarray(image)) for image in images
             )
-            seen[number].views[camera] = thumbnails({camera: images})[camera]
-    return seen
+            records[number].views[camera] = thumbnails({camera: images})[camera]
+    return records
 
 
 def _check_colour(
@@ -139,15 +139,17 @@ def _check_colour(
         )
 
 
-def _check_across(seen: list[_Seen], faults: list[list[EpisodeFault]], *, own: bool) -> None:
+def _check_across(
+    records: list[_PictureRecord], faults: list[list[EpisodeFault]], *, own: bool
+) -> None:
     """Add the faults that two cameras or several episodes show."""
-    views: list[Thumbnails] = [each.views for each in seen]
+    views: list[Thumbnails] = [record.views for record in records]
     references = camera_references(views)
-    for number, each in enumerate(seen):
+    for number, record in enumerate(records):
         if not own:
-            for first, second in combinations(each.checksums, 2):
-                if each.checksums[first] == each.checksums[second]:
+            for first, second in combinations(record.checksums, 2):
+                if record.checksums[first] == record.checksums[second]:
                     detail = f"cameras '{first}' and '{second}' hold the same images"
                     faults[number].append(EpisodeFault("cameras_identical", detail))
-        if len(seen) > 1:
-            faults[number] += check_swapped(each.views, references)
+        if len(records) > 1:
+            faults[number] += check_swapped(record.views, references)

@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 
 from minidual.demos.data.aloha import aloha_pictures, is_aloha, read_aloha
-from minidual.demos.data.source import DataEpisode, DataSource, Found, Image, force_sizes
+from minidual.demos.data.source import DataEpisode, DataSource, EpisodeReading, Image, force_sizes
 from minidual.demos.episode import Episode, inspect_episode, read_episode
 from minidual.demos.lerobot_features import state_names
 from minidual.errors import DataError
@@ -33,7 +33,7 @@ class Hdf5Source(DataSource):
     def __len__(self) -> int:
         return len(self.paths)
 
-    def episodes(self) -> Iterator[Found]:
+    def episodes(self) -> Iterator[EpisodeReading]:
         """See `DataSource.episodes`; those of this program bring every fault of their files."""
         for path in self.paths:
             if _is_aloha_file(path):
@@ -44,9 +44,9 @@ class Hdf5Source(DataSource):
 
     def cameras(self) -> tuple[str, ...]:
         """See `DataSource.cameras`."""
-        for found in self.episodes():
-            if found.episode is not None:
-                return tuple(found.episode.cameras)
+        for reading in self.episodes():
+            if reading.episode is not None:
+                return tuple(reading.episode.cameras)
         return ()
 
     def pictures(self, camera: str) -> Iterator[tuple[int, Image]]:
@@ -59,8 +59,8 @@ class Hdf5Source(DataSource):
     def _images(self, path: Path, camera: str) -> Image | None:
         if _is_aloha_file(path):
             with h5py.File(path, "r") as file:
-                found = read_aloha(file, path)
-                if found.episode is None or camera not in found.episode.cameras:
+                reading = read_aloha(file, path)
+                if reading.episode is None or camera not in reading.episode.cameras:
                     return None
                 return aloha_pictures(file, camera)
         try:
@@ -68,11 +68,11 @@ class Hdf5Source(DataSource):
         except DataError:  # its faults are found with the episode
             return None
 
-    def _own(self, path: Path) -> Found:
+    def _own(self, path: Path) -> EpisodeReading:
         episode, faults = inspect_episode(path, robot=self._robot)
         if episode is None:
-            return Found(path.name, None, tuple(faults))
-        return Found(path.name, self._converted(episode, path.name), tuple(faults))
+            return EpisodeReading(path.name, None, tuple(faults))
+        return EpisodeReading(path.name, self._converted(episode, path.name), tuple(faults))
 
     def _converted(self, episode: Episode, name: str) -> DataEpisode:
         state = np.hstack([episode.qpos, episode.gripper])

@@ -82,13 +82,13 @@ class _Finalising:
 
 def _readable(source: DataSource) -> list[DataEpisode]:
     episodes: list[DataEpisode] = []
-    for found in source.episodes():
-        if found.episode is None:
+    for reading in source.episodes():
+        if reading.episode is None:
             raise DataError(
-                f"{source.root}: {found.name} cannot be read: {found.faults[0]}",
+                f"{source.root}: {reading.name} cannot be read: {reading.faults[0]}",
                 remedy=f"minidual data check {source.root}; take the file out, or mend it",
             )
-        episodes.append(found.episode)
+        episodes.append(reading.episode)
     return episodes
 
 

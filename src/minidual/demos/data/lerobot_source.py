@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-from minidual.demos.data.source import DataEpisode, DataSource, Found, Image, force_sizes
+from minidual.demos.data.source import DataEpisode, DataSource, EpisodeReading, Image, force_sizes
 from minidual.demos.lerobot_features import reading
 from minidual.demos.lerobot_reader import read_dataset, read_signal
 from minidual.demos.lerobot_video import BYTES_MAX
@@ -30,7 +30,7 @@ class LeRobotSource(DataSource):
     def __len__(self) -> int:
         return len(self.tables.starts)
 
-    def episodes(self) -> Iterator[Found]:
+    def episodes(self) -> Iterator[EpisodeReading]:
         """See `DataSource.episodes`."""
         tables = self.tables
         wrench = read_signal(self.root, "hand_wrench")
@@ -52,7 +52,7 @@ class LeRobotSource(DataSource):
                 ),
                 task=self._tasks.get(number, ""),
             )
-            yield Found(episode.name, episode)
+            yield EpisodeReading(episode.name, episode)
 
     def cameras(self) -> tuple[str, ...]:
         """See `DataSource.cameras`."""

@@ -137,14 +137,14 @@ def _require_one_format(sources: Sequence[DataSource]) -> None:
     """Raise UsageError unless all episodes have one rate, names and cameras."""
     first: tuple[str, Format] | None = None
     for source in sources:
-        for found in source.episodes():
-            if found.episode is None:
+        for reading in source.episodes():
+            if reading.episode is None:
                 raise DataError(
-                    f"{source.root}: {found.name} cannot be read: {found.faults[0]}",
+                    f"{source.root}: {reading.name} cannot be read: {reading.faults[0]}",
                     remedy=f"minidual data check {source.root}; take the file out, or mend it",
                 )
-            label = f"{source.root} ({found.name})"
-            own = _format_of(found.episode)
+            label = f"{source.root} ({reading.name})"
+            own = _format_of(reading.episode)
             if first is None:
                 first = label, own
             elif own != first[1]:

@@ -54,8 +54,8 @@ class DataEpisode:
         return float(self.times_s[-1] - self.times_s[0]) if len(self) else 0.0
 
 
-class Found(NamedTuple):
-    """An episode, None if it cannot be read, with the faults that reading it showed."""
+class EpisodeReading(NamedTuple):
+    """The result of reading an episode: None if it cannot be read, and the faults."""
 
     name: str
     episode: DataEpisode | None
@@ -95,7 +95,7 @@ class DataSource(ABC):
         """Number of episodes."""
 
     @abstractmethod
-    def episodes(self) -> Iterator[Found]:
+    def episodes(self) -> Iterator[EpisodeReading]:
         """Read the episodes in order, without their pictures."""
 
     @abstractmethod

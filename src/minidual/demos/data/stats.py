@@ -72,27 +72,31 @@ def data_stats(
     Raises:
         NothingEvaluatedError: No episode can be read.
     """
-    found = list(source.episodes())
-    episodes = [each.episode for each in found if each.episode is not None and len(each.episode)]
+    readings = list(source.episodes())
+    episodes = [
+        reading.episode
+        for reading in readings
+        if reading.episode is not None and len(reading.episode)
+    ]
     if not episodes:
         raise NothingEvaluatedError(
-            f"none of {len(found)} episodes in {source.root} can be read",
+            f"none of {len(readings)} episodes in {source.root} can be read",
             remedy=f"minidual data check {source.root}",
         )
     hands = [_hand_cells(episode, kinematics) for episode in episodes]
     durations_s = np.array([episode.duration_s for episode in episodes])
-    known = [episode.success for episode in episodes if episode.success is not None]
+    successes = [episode.success for episode in episodes if episode.success is not None]
     switches = [_switches(episode) for episode in episodes]
     stats = DataStats(
         kind=source.kind,
         episodes_n=len(episodes),
-        unreadable_n=len(found) - len(episodes),
+        unreadable_n=len(readings) - len(episodes),
         ticks_n=sum(map(len, episodes)),
         rates_hz=tuple(sorted({episode.rate_hz for episode in episodes})),
         tasks=tuple(sorted({episode.task for episode in episodes if episode.task})),
         cameras=dict(episodes[0].cameras),
         durations_s=(durations_s.min(), float(np.median(durations_s)), durations_s.max()),
-        successes_n=sum(known) if known else None,
+        successes_n=sum(successes) if successes else None,
         switches_per_episode=float(np.mean(switches)),
         cells_n=_union(hands),
         force_peaks_n=_force_peaks_n(episodes),
@@ -191,8 +195,8 @@ def _hand_cells(episode: DataEpisode, kinematics: Kinematics) -> set[tuple[int, 
 
 
 def _union(hands: Sequence[set[tuple[int, ...]] | None]) -> int | None:
-    known = [cells for cells in hands if cells is not None]
-    return len(set().union(*known)) if known else None
+    own_cells = [cells for cells in hands if cells is not None]
+    return len(set().union(*own_cells)) if own_cells else None
 
 
 def _force_peaks_n(episodes: Sequence[DataEpisode]) -> dict[str, float]:
@@ -209,12 +213,12 @@ def _switches(episode: DataEpisode) -> int:
 
 
 def _start_ranges(episodes: Sequence[DataEpisode]) -> tuple[tuple[float, float], ...]:
-    starts = [_start(episode.facts) for episode in episodes]
-    known = np.array([start for start in starts if start is not None])
-    if not len(known):
+    recorded = [_start(episode.facts) for episode in episodes]
+    starts = np.array([start for start in recorded if start is not None])
+    if not len(starts):
         return ()
-    lows = known.min(axis=0).tolist()
-    highs = known.max(axis=0).tolist()
+    lows = starts.min(axis=0).tolist()
+    highs = starts.max(axis=0).tolist()
     return tuple(zip(lows, highs, strict=True))
 
 

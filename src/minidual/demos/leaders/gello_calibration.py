@@ -77,18 +77,18 @@ def calibrate(path: Path, robot: Robot) -> dict[str, Calibration]:
         EnvironmentMissingError: A servo does not answer, or a joint is far from its posture.
     """
     gello = read_gello_file(path, robot)
-    found: dict[str, Calibration] = {}
+    calibrations: dict[str, Calibration] = {}
     for number, (side, arm) in enumerate(zip(SIDES, gello.arms, strict=True)):
         bus = DynamixelBus(arm.port, gello.baud_rate, arm.servos)
         try:
             angles = _steady_angles(bus)
         finally:
             bus.close()
-        found[side] = calibrated(arm, angles, robot.home[robot.joints_of(number)])
-        _check_posture(side, found[side], robot)
-    arms = {side: calibration.arm for side, calibration in found.items()}
+        calibrations[side] = calibrated(arm, angles, robot.home[robot.joints_of(number)])
+        _check_posture(side, calibrations[side], robot)
+    arms = {side: calibration.arm for side, calibration in calibrations.items()}
     write_gello_file(path, gello.model_copy(update=arms))
-    return found
+    return calibrations
 
 
 def _check_posture(side: str, calibration: Calibration, robot: Robot) -> None:

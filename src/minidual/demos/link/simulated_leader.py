@@ -75,9 +75,9 @@ class SimulatedLeader(Leader):
         """Return where the leader's joints are at a time."""
         if self.demonstration is None:
             return None
-        meant, openings = self.demonstration.at(now_s)
+        q_demonstrated, openings = self.demonstration.at(now_s)
         while self._time_s < now_s - 0.5 * _STEP_S:
-            self._step(meant)
+            self._step(q_demonstrated)
         has_ended = now_s >= self.demonstration.duration_s - 0.5 / self.demonstration.rate_hz
         return LeaderSample(
             openings, q=self._q.copy(), pressed=(Button.SUCCESS,) if has_ended else ()
@@ -88,9 +88,11 @@ class SimulatedLeader(Leader):
         most = self.hand.torque_max_nm
         self._felt_nm = np.clip(feedback.external_nm, -most, most)
 
-    def _step(self, meant: Array) -> None:
+    def _step(self, q_demonstrated: Array) -> None:
         hand = self.hand
-        torque = hand.stiffness * (meant - self._q) - hand.damping * self._v + self._felt_nm
+        torque = (
+            hand.stiffness * (q_demonstrated - self._q) - hand.damping * self._v + self._felt_nm
+        )
         damped = 1.0 + _STEP_S * hand.added_damping / hand.inertia
         self._v = (self._v + _STEP_S / hand.inertia * torque) / damped
         self._q = self._q + _STEP_S * self._v

@@ -149,7 +149,7 @@ class ArmLink:
         text = str(error)
         if "preempted" in text:  # our own stop
             return
-        names = [known.name for known in ERRORS if f'"{known.name}"' in text]
+        names = [vendor_error.name for vendor_error in ERRORS if f'"{vendor_error.name}"' in text]
         reasons = [described(name) for name in names]
         if not reasons:
             reasons = [f"{type(error).__name__}: {text.splitlines()[0] if text else 'no reason'}"]

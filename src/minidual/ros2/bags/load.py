@@ -50,12 +50,12 @@ class _Recording:
     @property
     def cameras(self) -> dict[str, str]:
         """{camera: topic}, in the order of the episode's attributes if it has them."""
-        found: dict[str, str] = {}
+        topics: dict[str, str] = {}
         for topic in self.contents:
             camera = camera_of(topic)
             if camera is not None:
-                found[camera] = topic
-        return found
+                topics[camera] = topic
+        return topics
 
 
 def import_file(
@@ -82,8 +82,8 @@ def import_file(
     recording = _read(source, robot)
     missing = [topic for topic in NEEDED if topic not in recording.contents]
     if missing:
-        known = ", ".join(sorted(recording.contents)) or "none"
-        raise DataError(f"{source} has no messages on {', '.join(missing)}; it has {known}")
+        present = ", ".join(sorted(recording.contents)) or "none"
+        raise DataError(f"{source} has no messages on {', '.join(missing)}; it has {present}")
     if recording.attributes is None:
         meta = EpisodeMeta(
             fps=fps,
@@ -201,9 +201,9 @@ def _joints(message: Message, robot: Robot, source: Path) -> tuple[Array, Array 
     rows = {name: row for row, name in enumerate(message.content.name)}
     absent = [name for name in robot.joint_names if name not in rows]
     if absent:
-        known = ", ".join(rows) or "none"
+        present = ", ".join(rows) or "none"
         raise DataError(
-            f"{source}: {JOINT_STATES} has no joint {absent[0]}; it has {known}",
+            f"{source}: {JOINT_STATES} has no joint {absent[0]}; it has {present}",
             remedy="name the arm of the recording: --set robot.arm=NAME",
         )
     order = [rows[name] for name in robot.joint_names]

@@ -65,8 +65,8 @@ class CameraProcess:
     ) -> None:
         context = multiprocessing.get_context("spawn")  # OpenGL does not survive a fork
         self._connection, theirs = context.Pipe()
-        what = _Scene(scene, robot, tuple(cameras), domain)
-        self._process = context.Process(target=_draw, args=(theirs, what), daemon=True)
+        inputs = _Scene(scene, robot, tuple(cameras), domain)
+        self._process = context.Process(target=_draw, args=(theirs, inputs), daemon=True)
         self._process.start()
         theirs.close()
         self.pictures_n = dict.fromkeys(cameras, 0)
@@ -108,28 +108,31 @@ class CameraProcess:
             self._process.terminate()
 
 
-def _draw(connection: Connection, what: _Scene) -> None:
+def _draw(connection: Connection, inputs: _Scene) -> None:
     """Draw and publish until None comes: the body of the process.
 
     It asks by sending the camera whose picture it published last.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal
-    topics = Topics(what.domain)
-    for camera in what.cameras:
+    topics = Topics(inputs.domain)
+    for camera in inputs.cameras:
         topics.advertise(image_topic(camera), topics.messages.Image)
-    model = build_model(what.scene, what.robot, visuals=True)
+    model = build_model(inputs.scene, inputs.robot, visuals=True)
     data = mujoco.MjData(model)
-    period_s = 1.0 / (CAMERA_HZ * len(what.cameras))
+    period_s = 1.0 / (CAMERA_HZ * len(inputs.cameras))
     published: str | None = None
     due_s = time.monotonic()
-    with Camera.recorded(model, what.scene.camera) as eyes, contextlib.suppress(EOFError, OSError):
+    with (
+        Camera.recorded(model, inputs.scene.camera) as eyes,
+        contextlib.suppress(EOFError, OSError),
+    ):
         turn = 0
         while True:
             connection.send(published)
             state = connection.recv()
             if state is None:
                 break
-            camera = what.cameras[turn % len(what.cameras)]
+            camera = inputs.cameras[turn % len(inputs.cameras)]
             turn += 1
             data.qpos[:] = state.qpos
             mujoco.mj_kinematics(model, data)

@@ -63,10 +63,10 @@ def write_page(
     """
     films = _films(source, numbers)
     shown: list[ShownEpisode] = []
-    for number, found in enumerate(source.episodes()):
-        if number in numbers and found.episode is not None:
-            faults = [str(each.fault) for each in findings if each.episode == found.name]
-            shown.append(_shown(found.episode, films.get(number, {}), faults))
+    for number, reading in enumerate(source.episodes()):
+        if number in numbers and reading.episode is not None:
+            faults = [str(each.fault) for each in findings if each.episode == reading.name]
+            shown.append(_shown(reading.episode, films.get(number, {}), faults))
     page = _PAGES.get_template("page.html.j2").render(
         title=str(source.root),
         lines=list(lines),
@@ -142,9 +142,9 @@ def _groups(names: Sequence[str]) -> list[list[int]]:
 def _films(source: DataSource, numbers: Sequence[int]) -> dict[int, dict[str, str]]:
     """Return a film of each camera and episode, as a data URI."""
     rates = {
-        number: found.episode.rate_hz
-        for number, found in enumerate(source.episodes())
-        if number in numbers and found.episode is not None
+        number: reading.episode.rate_hz
+        for number, reading in enumerate(source.episodes())
+        if number in numbers and reading.episode is not None
     }
     films: dict[int, dict[str, str]] = {number: {} for number in rates}
     for camera in source.cameras():

@@ -24,10 +24,10 @@ def write_rerun(source: DataSource, numbers: Sequence[int], path: Path) -> None:
     recording = rr.RecordingStream("minidual_data", recording_id=path.stem)
     recording.save(path)
     rates: dict[int, float] = {}
-    for number, found in enumerate(source.episodes()):
-        if number in numbers and found.episode is not None:
-            rates[number] = found.episode.rate_hz
-            _log_numbers(rr, recording, number, found.episode)
+    for number, reading in enumerate(source.episodes()):
+        if number in numbers and reading.episode is not None:
+            rates[number] = reading.episode.rate_hz
+            _log_numbers(rr, recording, number, reading.episode)
     for camera in source.cameras():
         for number, images in source.pictures(camera):
             if number not in rates:

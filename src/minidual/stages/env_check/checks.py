@@ -62,7 +62,7 @@ class Measurements:
 def installation_checks(libraries: list[Library], joints_n: int, robot: Robot) -> list[Check]:
     """Return the checks of libraries and motors; `joints_n`: joints with a motor."""
     unfit = [
-        f"{lib.name} {lib.wanted} (found {lib.found or 'none'})"
+        f"{lib.name} {lib.wanted} (found {lib.installed or 'none'})"
         for lib in libraries
         if not lib.fits
     ]

@@ -21,19 +21,19 @@ class Library:
 
     Attributes:
         wanted: Version range, e.g. `>=4.0.0,<4.1`; empty for any.
-        found: Installed version, or None.
+        installed: Version, or None.
     """
 
     name: str
     wanted: str
-    found: str | None
+    installed: str | None
 
     @property
     def fits(self) -> bool:
         """Whether the installed version is supported."""
-        if self.found is None:
+        if self.installed is None:
             return False
-        return SpecifierSet(self.wanted).contains(self.found, prereleases=True)
+        return SpecifierSet(self.wanted).contains(self.installed, prereleases=True)
 
 
 def required_libraries() -> list[Library]:

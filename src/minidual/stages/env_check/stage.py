@@ -166,7 +166,7 @@ def _measure(context: StageContext, world: World, task: ProgressTask) -> Measure
 
 
 def _data(libraries: list[Library], m: Measurements) -> dict[str, Any]:
-    versions = {lib.name: {"wanted": lib.wanted, "found": lib.found} for lib in libraries}
+    versions = {lib.name: {"wanted": lib.wanted, "found": lib.installed} for lib in libraries}
     return {
         "libraries": versions,
         "latency": m.latency._asdict(),

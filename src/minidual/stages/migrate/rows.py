@@ -230,9 +230,9 @@ def calibration(m: StepMeasurements, config: Config, robot: Robot, boards: objec
             pictures = cameras.rendered_boards(focal_px)
         else:
             pictures = cameras.taken_boards(Path(str(boards)), name)
-        seen = cameras.calibrate(pictures)
-        errors.append(abs(seen.focal_px / focal_px - 1.0))
-        pixels.append(seen.reprojection_px)
+        calibration = cameras.calibrate(pictures)
+        errors.append(abs(calibration.focal_px / focal_px - 1.0))
+        pixels.append(calibration.reprojection_px)
     names = [f"camera {name}" for name in focals]
     m.focal = worst_of(np.array(errors), names)
     m.reprojection = worst_of(np.array(pixels), names)

@@ -85,16 +85,16 @@ def record(
     """Return observations and shown actions of successful episodes, `count` of them if there are."""
     script = MatingScript(terms, worlds.num_envs)
     observation, _ = worlds.reset()
-    seen: list[list[Array32]] = [[] for _ in range(worlds.num_envs)]
-    done: list[list[Array32]] = [[] for _ in range(worlds.num_envs)]
+    observed: list[list[Array32]] = [[] for _ in range(worlds.num_envs)]
+    acted: list[list[Array32]] = [[] for _ in range(worlds.num_envs)]
     kept: list[tuple[list[Array32], list[Array32]]] = []
     ended_n = 0
     while len(kept) < count and ended_n < _ASKED_MAX * count:
         emergency.check()
         shown = script.action(observation)
         for number in range(worlds.num_envs):
-            seen[number].append(observation[number].copy())
-            done[number].append(shown[number].astype(np.float32))
+            observed[number].append(observation[number].copy())
+            acted[number].append(shown[number].astype(np.float32))
         driven = np.clip(shown + _NOISE * rng.standard_normal(shown.shape), -1.0, 1.0)
         observation, _, terminated, truncated, infos = worlds.step(driven)
         ended = terminated | truncated
@@ -102,9 +102,9 @@ def record(
         for number in np.flatnonzero(ended).tolist():
             ended_n += 1
             if infos["final_info"]["success"][number]:
-                kept.append((seen[number], done[number]))
-            seen[number] = []
-            done[number] = []
+                kept.append((observed[number], acted[number]))
+            observed[number] = []
+            acted[number] = []
     width = observation.shape[1]
     observations = [row for rows, _ in kept for row in rows]
     actions = [row for _, rows in kept for row in rows]

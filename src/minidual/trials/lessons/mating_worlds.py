@@ -132,10 +132,10 @@ class MatingWorlds(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         Raises:
             UsageError: Wrong shape, or not finite.
         """
-        given = np.asarray(actions, dtype=float)
-        if given.shape != self.action_space.shape or not np.isfinite(given).all():
+        action = np.asarray(actions, dtype=float)
+        if action.shape != self.action_space.shape or not np.isfinite(action).all():
             raise UsageError(f"actions are {self.action_space.shape} finite numbers")
-        reports = self._exchanged(given)
+        reports = self._exchanged(action)
         rewards = np.zeros(self.num_envs)
         terminated = np.zeros(self.num_envs, dtype=bool)
         truncated = np.zeros(self.num_envs, dtype=bool)

@@ -18,7 +18,7 @@ from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.environments.actions import ACTIONS, Arms, arms_of
 from minidual.environments.kernels import wrenches
-from minidual.environments.observations import OBSERVATIONS, Seen, observe, size_of
+from minidual.environments.observations import OBSERVATIONS, ObservationInputs, observe, size_of
 from minidual.environments.senses import JointReadings, Sensed, Senses
 from minidual.errors import DataError, UsageError
 from minidual.plant.protocol import Plant, openings_of
@@ -187,7 +187,7 @@ class ReinforcedPilot:
     def _decide(self, T_world_object: Array) -> None:
         sensed = self._sense(T_world_object)
         names = self._network.description.observation
-        observation = observe(names, Seen(sensed, self._actions, self._task))
+        observation = observe(names, ObservationInputs(sensed, self._actions, self._task))
         began_s = time.perf_counter()
         action = self._network.act(observation)
         self._times_s.append(time.perf_counter() - began_s)

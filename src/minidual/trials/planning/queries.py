@@ -256,8 +256,8 @@ def random_pose(rng: np.random.Generator, arm: str) -> Array:
     position = np.array(
         [rng.uniform(0.30, 0.65), side * rng.uniform(-0.15, 0.55), rng.uniform(0.08, 0.45)],
     )
-    yaw, about = rng.uniform(-np.pi, np.pi, 2)
-    lean = rot_z(about) @ rot_x(rng.uniform(0.0, _TILT_RAD)) @ rot_z(-about)
+    yaw, lean_yaw = rng.uniform(-np.pi, np.pi, 2)
+    lean = rot_z(lean_yaw) @ rot_x(rng.uniform(0.0, _TILT_RAD)) @ rot_z(-lean_yaw)
     return pose(lean @ rot_z(yaw) @ rot_x(np.pi), position)
 
 

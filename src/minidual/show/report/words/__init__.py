@@ -61,11 +61,11 @@ class Words:
         """Return the translation of a name; without one the source's words."""
         return table.get(name) or self.foreign(source)
 
-    def title(self, given: str) -> str:
+    def title(self, title: str) -> str:
         """Return the page's title; the default one is translated."""
-        if self._names is not None and given == _DEFAULT_TITLE:
+        if self._names is not None and title == _DEFAULT_TITLE:
             return self._names.title
-        return given
+        return title
 
     def unit(self, unit: str) -> str:
         """Return a displayed unit."""
