@@ -219,7 +219,7 @@ def expanded(text: str) -> Path:
 
 
 def kind_of(path: Path) -> str:
-    """Return what is at a path, behind links.
+    """Return the file status at a path, behind links.
 
     Returns:
         "file", "folder", "FIFO", "socket", "device", "broken link", or "" if nothing is there.

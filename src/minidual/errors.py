@@ -85,7 +85,7 @@ def shortened(items: Sequence[str], shown: int = 6, sep: str = ", ") -> str:
 
 
 def printable(text: str) -> str:
-    r"""Return `text` with what a terminal would obey or hide written as \uXXXX.
+    r"""Return `text` with control and hidden characters written as \uXXXX.
 
     JSON reads that back.
     """

@@ -1,4 +1,4 @@
-"""Variables of this process that libraries read, and what they must hold.
+"""Environment variables that libraries read, and their required values.
 
 `import minidual` calls `prepare` before any library is imported. Worker processes inherit what it
 sets.
@@ -19,7 +19,7 @@ _USER_NAMES = ("LOGNAME", "USER", "LNAME", "USERNAME")
 
 
 def prepare() -> None:
-    """Set what the libraries of minidual read at their import."""
+    """Set the variables that the libraries of minidual read at their import."""
     # mujoco and PyOpenGL pick their platform at their first import; with another one it may fail.
     os.environ["MUJOCO_GL"] = "egl"
     os.environ["PYOPENGL_PLATFORM"] = "egl"
@@ -75,7 +75,7 @@ def is_writable(folder: Path) -> bool:
 
 
 def rendering_remedy(reason: str) -> str:
-    """Return what to do about an OpenGL context that cannot be made; `reason` is its error."""
+    """Return the remedy for an OpenGL context that cannot be made; `reason` is its error."""
     device = os.environ.get(_DEVICE)
     if device is None:
         return INSTALL_RENDERING

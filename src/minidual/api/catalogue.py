@@ -1,4 +1,4 @@
-"""What there is by name: tasks, methods and conditions."""
+"""Tasks, methods and conditions by name."""
 
 from minidual.api.settings import Settings, configured
 from minidual.tasks.catalogue import TASKS, make_task

@@ -41,7 +41,7 @@ def list_episodes(folder: str | Path) -> list[Path]:
 
 
 def measure_episode(episode: Episode, *, arm: str = "panda") -> EpisodeQuality:
-    """Return what an episode measures.
+    """Return the measurements of an episode.
 
     They are ticks, duration_s, rms_jerk_rad_s3, path_length_m (mean of both hands),
     path_efficiency (0 to 1) and cells_n (5 cm cubes that the hands visit).

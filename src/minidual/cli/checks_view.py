@@ -48,7 +48,7 @@ def checks_view(
 
 
 def explained(checks: Sequence[Check], wording: Wording) -> RenderableType:
-    """Return each check in words: value, limit and margin, why, and what to do if it failed."""
+    """Return each check in words: value, limit, margin and reason, and the remedy of a failed one."""
     parts: list[RenderableType] = []
     for check in checks:
         margin = check.margin_text()

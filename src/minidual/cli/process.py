@@ -40,7 +40,7 @@ class Output(io.TextIOWrapper):
             return len(text)
 
     def flush(self) -> None:
-        """Write or drop what is buffered."""
+        """Write the buffer, or drop it."""
         try:
             super().flush()
         except OSError as error:

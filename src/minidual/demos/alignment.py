@@ -86,7 +86,7 @@ class AlignmentGate:
         return self.target
 
     def _go_on(self, q_leader: Array) -> None:
-        """Take a reading without its whole turns; close if what remains is a jump."""
+        """Take a reading without its whole turns; close if the rest is a jump."""
         q = nearest_turn(q_leader, self._q_last)
         jump = q - self._q_last
         worst = int(np.argmax(np.abs(jump)))

@@ -1,4 +1,4 @@
-"""Attempts at a demonstration, and what a recording's folder keeps of each."""
+"""Attempts at a demonstration, and their files in a recording's folder."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -111,7 +111,7 @@ class AttemptFiles:
         return self.folder / ATTEMPTS / f"{index:06d}.json"
 
     def link_path(self, index: int) -> Path:
-        """Return the path of what a trial's link did (CSV)."""
+        """Return the path of the log of a trial's link (CSV)."""
         return self.folder / ATTEMPTS / f"{index:06d}-link.csv"
 
     def write(self, attempt: Attempt) -> None:
@@ -129,7 +129,7 @@ class AttemptFiles:
         durable.write_text(self.record_path(attempt.trial.index), json.dumps(record) + "\n")
 
     def read(self, trial: Trial) -> Attempt | None:
-        """Return a trial's attempt as its JSON file tells, None if it has none.
+        """Return a trial's attempt from its JSON file, None if it has none.
 
         The files of a damaged one are set aside.
         """

@@ -1,4 +1,4 @@
-"""A policy drives, and who leads takes over where it strays.
+"""A policy drives, and the leader takes over where it strays.
 
 The button CORRECT, or the clutch, takes the arms over; CORRECT hands them back. Each tick says who
 drove, so that training can weight what the policy did not know.
@@ -22,7 +22,7 @@ OPENING_MET = 0.2
 
 
 class DrivingPolicy(Protocol):
-    """What drives until somebody takes over.
+    """Drives until the leader takes over.
 
     Attributes:
         cameras: Size of the pictures (H, W) by camera.
@@ -47,7 +47,7 @@ class DrivingPolicy(Protocol):
 
 
 class Wanted(NamedTuple):
-    """What the arms are to do.
+    """A command of the arms.
 
     Attributes:
         target: Joints (n,) [rad].
@@ -93,7 +93,7 @@ class Corrections:
         images: Mapping[str, Image],
         state: Array,
     ) -> Wanted | None:
-        """Return what the arms are to do; None: nothing new, the arms keep their target.
+        """Return the next command of the arms; None: they keep their target.
 
         Args:
             reading: Of the leader; its target counts while it drives.

@@ -35,7 +35,7 @@ class Performer(Protocol):
 
     @property
     def leader(self) -> Leader | None:
-        """Who leads, None before the first episode."""
+        """The leader, None before the first episode."""
         ...
 
     def lead(self, trial: Trial, on_tick: Callable[[Tick], None]) -> SessionResult:
@@ -65,7 +65,7 @@ class EpisodeRecorder:
         return judged
 
     def record(self, trial: Trial, performer: Performer) -> Attempt:
-        """Run a trial, again and again while who leads throws the episode away.
+        """Run a trial, again and again while the leader discards the episode.
 
         An episode's file gets its name after it was read back and the attempt's JSON file was
         written.
@@ -128,7 +128,7 @@ class EpisodeRecorder:
         return f"RMS jerk {jerk:.0f} rad/s^3, limit {limit:.0f}"
 
     def read_back(self, attempt: Attempt, path: Path) -> Attempt:
-        """Return the attempt with what its file says."""
+        """Return the attempt with the facts and faults of its file."""
         camera = self._job.task.config.scene.camera
         episode, faults = inspect_episode(
             path,
@@ -198,7 +198,7 @@ class EpisodeRecorder:
 
 
 def _link_measures(leader: Leader | None) -> dict[str, float]:
-    """Return what the link did in the episode; {} without one."""
+    """Return the measures of the link in the episode; {} without one."""
     return leader.measures() if isinstance(leader, LinkedLeader) else {}
 
 

@@ -1,4 +1,4 @@
-"""Let a leader drive any plant, without a task, a judge or a recording."""
+"""A leader drives any plant, without a task, a judge or a recording."""
 
 import contextlib
 import time

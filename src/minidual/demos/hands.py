@@ -132,7 +132,7 @@ class HandTracker:
         self._turn_rad_s[arm] = 0.0
 
     def _reach(self, arm: int, T: Array) -> bool:
-        """Go to a pose, or as far as the joints' speeds let; return whether it can be reached."""
+        """Go to a pose, or as far as the joints' speeds allow; return whether it can be reached."""
         side = self._robot.sides[arm]
         ik = solvers(self._robot)[side]
         near = self.q[ik.joints]

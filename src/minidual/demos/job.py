@@ -1,4 +1,4 @@
-"""What a recording is to do, the same for all of its trials."""
+"""The settings of a recording, the same for all of its trials."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager

@@ -35,7 +35,7 @@ class LeaderSetup:
 
 @dataclass(frozen=True)
 class Features:
-    """What a leader gives, known before it is connected.
+    """Abilities of a leader, known before it is connected.
 
     Attributes:
         targets: Joint angles, or poses of the hands, which inverse kinematics turns into angles.
@@ -80,7 +80,7 @@ class LeaderSample:
 
 
 class Feedback(NamedTuple):
-    """What the arms measured in a tick.
+    """Measurements of the arms in a tick.
 
     Attributes:
         stamp_s: Time of the measurement.
@@ -122,7 +122,7 @@ class Leader(ABC):
         """
 
     def align(self, trial: Trial, q_follower: Array) -> None:  # noqa: B027 (many need nothing)
-        """Prepare for a trial whose arms stand at (n,) [rad]; drop what belongs to another one."""
+        """Prepare for a trial with the arms at (n,) [rad]; drop the state of the last one."""
 
     def resume(self, q_follower: Array) -> None:  # noqa: B027 (many need nothing)
         """Lead on from arms that something else has moved to (n,) [rad]; hands may hold something."""
@@ -136,11 +136,11 @@ class Leader(ABC):
 
     @property
     def facts(self) -> Mapping[str, object]:
-        """What an episode's file should say of who led it, in JSON types."""
+        """Facts of the leader for the episode's file, in JSON types."""
         return {}
 
     def feedback(self, feedback: Feedback) -> None:  # noqa: B027 (as above)
-        """Render what the arms met."""
+        """Render the forces on the arms."""
 
     def close(self) -> None:  # noqa: B027 (as above)
         """Release the device."""

@@ -57,7 +57,7 @@ def _every_fourth_pixel(picture: Any) -> Any:
 
 
 def _unchanged(table: Any) -> Any:
-    """Return a table, which holds no pictures, as it is."""
+    """Return a table without pictures, unchanged."""
     return table
 
 

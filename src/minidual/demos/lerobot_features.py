@@ -1,4 +1,4 @@
-"""What a LeRobot v3 dataset declares in meta/info.json."""
+"""The declarations of a LeRobot v3 dataset, in meta/info.json."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -47,7 +47,7 @@ class CameraFeature(NamedTuple):
 
 
 class DatasetInfo(NamedTuple):
-    """What meta/info.json declares.
+    """Content of meta/info.json.
 
     Attributes:
         names, action_names: Entries of states and of actions.
@@ -96,7 +96,7 @@ def is_own(root: Path) -> bool:
 
 
 def remedy_of(root: Path) -> str:
-    """Return what to do about a damaged dataset."""
+    """Return the remedy for a damaged dataset."""
     return REMEDY if is_own(root) else OTHER_REMEDY
 
 
@@ -106,7 +106,7 @@ def reading(source: Path | str, root: Path) -> Any:
 
 
 def read_info(root: Path) -> DatasetInfo:
-    """Return what a dataset declares.
+    """Return the declarations of a dataset.
 
     Raises:
         DataError: It is missing or damaged, or holds what this program does not read.
@@ -197,7 +197,7 @@ def _flat(names: Any) -> list[str]:
 def _cameras(
     features: Mapping[str, Mapping[str, Any]],
 ) -> tuple[dict[str, CameraFeature], tuple[str, ...]]:
-    """Return the colour cameras, and what else there is, in words."""
+    """Return the colour cameras and the other pictures, in words."""
     cameras: dict[str, CameraFeature] = {}
     unread: list[str] = []
     for key, feature in features.items():
@@ -234,7 +234,7 @@ def _is_depth(feature: Mapping[str, Any]) -> bool:
 
 
 def _check_bounds(info: DatasetInfo) -> None:
-    """Raise ValueError for what a dataset cannot have."""
+    """Raise ValueError for declarations that no dataset can have."""
     rate_ok = 0.0 < info.fps < FPS_MAX
     count_ok = 0 <= info.frames_n <= ROWS_MAX
     if not (rate_ok and count_ok):

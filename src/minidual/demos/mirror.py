@@ -1,4 +1,4 @@
-"""Turn what a leader reads into targets of the arms."""
+"""Turn a leader's readings into targets of the arms."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -54,7 +54,7 @@ def _is_lost(q: Array) -> bool:
 
 
 class Mirrored(NamedTuple):
-    """What the arms are to do.
+    """Targets of the arms.
 
     Attributes:
         target: Joints (n,) [rad].
@@ -97,7 +97,7 @@ class Mirror:
 
     @property
     def hint(self) -> str:
-        """What a person should know about the leader and its hands."""
+        """Hints for a person about the leader and its hands."""
         return "; ".join(text for text in (self.leader.hint, self._tracker.hint) if text)
 
     def check_start(self, sample: LeaderSample) -> None:

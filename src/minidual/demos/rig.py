@@ -54,7 +54,7 @@ class Rig:
         self.station = NO_STATION
 
     def _loaded(self, load: Callable[[], DrivingPolicy]) -> DrivingPolicy:
-        """Return the policy that is to be corrected; it must see what is recorded."""
+        """Return the policy to be corrected; its cameras must be recorded."""
         policy = load()
         missing = [camera for camera in policy.cameras if camera not in self._cameras]
         if missing:
@@ -67,7 +67,7 @@ class Rig:
 
     @property
     def station(self) -> Station:
-        """Where the person stands who leads; set it before the first trial."""
+        """Station of the person who leads; set it before the first trial."""
         return self.session.station
 
     @station.setter

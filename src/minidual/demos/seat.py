@@ -1,4 +1,4 @@
-"""Who leads an episode, and when: its start, its pauses and its end."""
+"""The leader's control of an episode: its start, its pauses and its end."""
 
 import time
 from collections.abc import Callable

@@ -39,7 +39,7 @@ _ENDS: dict[Button, EndedBy] = {
 
 
 class SimulatedPlant(Plant, Resettable, Protocol):
-    """A plant whose truth is known, and that a session puts at each start.
+    """A plant with known truth, which a session resets to each start.
 
     Attributes:
         scene: As configured.
@@ -60,7 +60,7 @@ class HandoverError(MinidualError):
 
 
 class Tick(NamedTuple):
-    """What was measured at one tick, and the command that followed.
+    """Measurements of one tick, and the command that followed.
 
     Names and shapes are those of the schema.
 
@@ -156,7 +156,7 @@ class _TickRun(NamedTuple):
 
 @dataclass
 class _Drive:
-    """What driving the arms gave; see `SessionResult`."""
+    """Result of driving the arms; see `SessionResult`."""
 
     q: list[Array] = field(default_factory=list)
     latencies_s: list[float] = field(default_factory=list)
@@ -350,7 +350,7 @@ class TeleopSession:
         return _TickRun(tick, latency_s, "stopped" if stopped else None)
 
     def _feed_back(self, leader: Leader, stamp_s: float, q: Array, gripper: Array) -> None:
-        """Tell the leader what the arms met, and the supervisor what is wrong with the leader."""
+        """Pass the arms' forces to the leader, and the leader's faults to the supervisor."""
         supervisor = self.stack.supervisor
         met_nm = supervisor.observer.external.copy()
         leader.feedback(Feedback(stamp_s, q, gripper, supervisor.touch, met_nm))

@@ -1,4 +1,4 @@
-"""What an episode records beside joints and pictures, by choice (`teleop.signals`)."""
+"""Signals that an episode may record beside joints and pictures (`teleop.signals`)."""
 
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
@@ -19,7 +19,7 @@ _RANK_EPS = 1e-3
 
 
 class Driver(StrEnum):
-    """Who drives the arms in a tick; recorded is the place in this order."""
+    """Drivers of the arms in a tick; the index in this order is recorded."""
 
     LEADER = "leader"
     POLICY = "policy"
@@ -32,7 +32,7 @@ REFLEX_NAMES = ("", *REFLEXES)
 
 
 def recorded_signals(config: TeleopConfig) -> tuple[str, ...]:
-    """Return the signals that episodes hold: who drove too, if a policy is corrected."""
+    """Return the signals that episodes hold; with the driver, if a policy is corrected."""
     if config.correct and "driver" not in config.signals:
         return (*config.signals, "driver")
     return config.signals
@@ -120,7 +120,7 @@ class Signals:
         return wrenches
 
     def _internal_force(self) -> float:
-        """Return the force [N] with which the hands press on what lies between them, 0 or more."""
+        """Return the force [N] of the hands on the object between them, 0 or more."""
         left, right = self._kinematics.tcp_poses(self._stack.plant.q)
         apart = left[:3, 3] - right[:3, 3]
         axis = apart / np.linalg.norm(apart)

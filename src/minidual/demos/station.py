@@ -1,4 +1,4 @@
-"""Where a person stands who leads: what they are told, and buttons beside the leader's own."""
+"""Station of a person who leads: a display, and buttons beside the leader's own."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from minidual.robot.pair import Array
 
 
 class Button(StrEnum):
-    """What a person tells a session.
+    """Buttons that a person presses in a session.
 
     START begins an episode. SUCCESS and FAILURE end it: a success becomes a demonstration if it
     passes the task's test, a failure is kept apart. DISCARD throws the episode away and records the
@@ -28,7 +28,7 @@ class Button(StrEnum):
 
 @dataclass(frozen=True)
 class Status:
-    """What a person sees.
+    """The display of a station.
 
     Attributes:
         state: What the session does.
@@ -78,10 +78,10 @@ class HandHandles:
 
 
 class Station:
-    """A station that nobody watches."""
+    """A station without a display."""
 
     def show(self, status: Status) -> None:
-        """Show what the session does; called in every tick."""
+        """Show the state of the session; called in every tick."""
 
     def pressed(self) -> tuple[Button, ...]:
         """Return the buttons that were pressed since the last call."""

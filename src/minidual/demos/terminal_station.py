@@ -7,13 +7,13 @@ from minidual.demos.leaders.terminal import BUTTON_KEYS, Terminal
 from minidual.demos.station import Button, HandHandles, Station, Status
 
 _WARN_S = (60, 30, 10, 5)
-"""Times left that are told."""
+"""Remaining times that are announced."""
 _HOLD_S = 0.5
 """Least time between two lines about the same episode."""
 
 
 class LineStation(Station):
-    """Says what changes, a line each."""
+    """Prints a line for each change."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say = say

@@ -133,7 +133,7 @@ class EpisodeWriter(contextlib.AbstractContextManager["EpisodeWriter"]):
         return path
 
     def abort(self) -> None:
-        """Discard what is not published."""
+        """Discard the file unless it was published."""
         self._closed = True
         with contextlib.suppress(OSError, RuntimeError):
             self._file.close()

@@ -1,4 +1,4 @@
-"""Action spaces by name: what the numbers of a policy move.
+"""Action spaces by name: how the numbers of a policy move the arms.
 
 An action (N, k) is clipped to `low` and `high`. `begin` takes one; `step` then moves the targets
 smoothly towards it, once a control tick. The environment and the method that runs a policy use the
@@ -30,13 +30,13 @@ _TURN_RAD = 2.2
 """Largest turn of a hand from the direction that it has over an object along y."""
 _ALONG_Y_RAD = np.pi / 2.0
 LEAD_M = 0.012
-"""A target runs ahead of a closed hand by this much downwards: what lands is not pressed hard."""
+"""Downwards the target of a closed hand leads the hand by this at most: it lands objects softly."""
 _OPENS = 0.5
 """A grip above it opens, below its negative it closes, between them nothing changes."""
 
 
 class Arms(NamedTuple):
-    """What action spaces know of the arms.
+    """Constants of the arms for action spaces.
 
     Attributes:
         frames: (2, n / 2 + 1, 4, 4), see `ArmIK.frames`.
@@ -222,7 +222,7 @@ class PairIncrements(DownwardHands):
 
 
 class ObjectIncrements(DownwardHands):
-    """What both hands hold moves by increments: the hands move with it, grips together."""
+    """The object in both hands moves by increments, and the hands with it; one grip for both."""
 
     names = ("dx", "dy", "dz", "dyaw", "grip")
 

@@ -225,7 +225,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
 
     @property
     def sensed(self) -> Sensed:
-        """What a policy may read now, a row a world."""
+        """Present readings for policies, a row a world."""
         return self.running.readings.latest
 
     # One step ----------------------------------------------------------------------------------

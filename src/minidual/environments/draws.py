@@ -1,4 +1,4 @@
-"""The trials of a batched environment: drawn one after the other, with what disturbs each."""
+"""The trials of a batched environment: drawn one after the other, each with its disturbance."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Disturbed(Protocol):
 
 
 class Draw(NamedTuple):
-    """A trial, and the random streams of its sensors and of what disturbs it, as in a benchmark."""
+    """A trial, and the random streams of its sensors and its disturbance, as in a benchmark."""
 
     trial: Trial
     sensing: np.random.Generator

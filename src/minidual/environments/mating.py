@@ -1,4 +1,4 @@
-"""Relative pose of two held objects: what a policy reads and moves while it puts them together.
+"""Relative pose of two held objects, which a policy reads and moves while it joins them.
 
 One hand pushes its part straight into the other hand's, under impedance. An action moves the
 reference of that push; zeros leave it as it is. Everything is read from encoders, fingers, torques
@@ -21,14 +21,14 @@ from minidual.robot.pair import Array, inverse
 from minidual.skills.askew import Meeting, excess_m, turned_in_hand
 
 FORCE = "force"
-"""What terms sense that a policy without force and torque readings leaves out."""
+"""Terms of force and torque, which a policy may leave out."""
 ACTION = "relative_pose"
 """Name of the action space."""
 _STEP = np.array([0.001, 0.0025, 0.001, 0.012, 0.012])
 _LOW = np.array([-0.006, -0.060, -0.006, -0.10, -0.10])
 _HIGH = np.array([0.006, 0.020, 0.006, 0.10, 0.10])
 _UNIT = np.array([0.006, 0.030, 0.006, 0.04, 0.04])
-"""What 1 stands for in an observation of x, y, z [m], yaw and pitch [rad]."""
+"""Scale of an observation of x, y, z [m], yaw and pitch [rad]: the value that counts as 1."""
 _FORCE_UNIT = np.repeat([10.0, 1.0], 3)
 _GAP_UNIT_M = 0.0004
 _TURN_UNIT_RAD = 0.04
@@ -73,7 +73,7 @@ class RelativePose:
 
 
 class Parts(NamedTuple):
-    """What two hands hold, and where the parts meet.
+    """The parts in both hands, and where they meet.
 
     Attributes:
         frames: (2, n / 2 + 1, 4, 4), see `ArmIK.frames`.
@@ -106,7 +106,7 @@ class MatingReadings(NamedTuple):
 
 
 class MatingSensed(NamedTuple):
-    """What a policy may know; the pushed part comes before the other one.
+    """Readings for a policy; the pushed part comes before the other one.
 
     Attributes:
         relative: (5,), place of the tip from the mouth (x, y, z) [m] in the other part's axes, yaw
@@ -136,7 +136,7 @@ class MatingSensed(NamedTuple):
 
 
 class MatingSenses:
-    """Turns readings into what a policy may know; remembers depth and time."""
+    """Turns measurements into readings for a policy; remembers depth and time."""
 
     def __init__(self, parts: Parts, meeting: Meeting) -> None:
         self._parts = parts
@@ -155,13 +155,13 @@ class MatingSenses:
         return self._relative(self._between(q_ref, own, other))
 
     def held(self, value: Array) -> tuple[InHand, InHand]:
-        """Return what the hands hold if both parts stand askew as a value (5,) of actions says."""
+        """Return the held parts, askew by a value (5,) of actions."""
         own = turned_in_hand(self._own.held, float(value[3]))
         other = turned_in_hand(self._other.held, float(value[4]))
         return own, other
 
     def read(self, readings: MatingReadings, actions: RelativePose) -> MatingSensed:
-        """Return what is known before the next action."""
+        """Return the readings before the next action."""
         if self._began_s is None:
             self._began_s = readings.time_s
         own, other = self.held(actions.value)

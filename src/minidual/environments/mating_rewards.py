@@ -93,4 +93,4 @@ MATING_REWARD: tuple[RewardTerm[MatingState], ...] = (
     RewardTerm("success", 3.0, "event", success),
 )
 MATED_TOGETHER = ("near", "depth", "success")
-"""Terms that pay only for what both hands do."""
+"""Terms that pay only for joint work of both hands."""

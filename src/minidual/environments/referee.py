@@ -1,4 +1,4 @@
-"""Says of many worlds what has been reached, what went wrong, and which trials are over."""
+"""Judges the trials of many worlds: success, failures, and which trials are over."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Flags = npt.NDArray[np.bool_]
 
 
 class Referee:
-    """The judges of N worlds, and what ends a trial beside them.
+    """The judges of N worlds, and the other reasons to end a trial.
 
     Attributes:
         judges: Of success.
@@ -69,7 +69,7 @@ class Referee:
         self.judges.observe(scene)
 
     def note(self, period_s: float) -> None:
-        """Note what has gone wrong in a period of simulated time."""
+        """Note divergence and stops of a period of simulated time."""
         self._elapsed_s += period_s
         off_s = np.abs(self._worlds.time_s - self._elapsed_s)  # MuJoCo resets a world's clock too
         self.diverged |= ~(off_s < 0.5 * self._worlds.dt)
@@ -93,7 +93,7 @@ class Referee:
         return self._worlds.time_s >= self._task.time_limit_s - 1e-9
 
     def failure(self, world: int) -> str:
-        """Return the name of what a world's trial violated first, or ""."""
+        """Return the name of the first violation of a world's trial, or ""."""
         if self.diverged[world]:
             return DIVERGED
         if self.stopped[world] and not self.judges.violated[world]:
@@ -101,7 +101,7 @@ class Referee:
         return self.judges.failure(world)
 
     def state(self, sensed: Sensed) -> LiftState:
-        """Return what rewards read."""
+        """Return the state for the rewards."""
         judged = self.judges.state
         limits = self.judges.limits
         violated = self.violated

@@ -23,7 +23,7 @@ _HOVER_M = 0.08
 _LATERAL_M = 0.02
 _LATERAL_RANGE_M = 0.03
 _TURN_M_PER_RAD = 0.05
-"""What a turn counts beside a distance."""
+"""Weight of a turn beside a distance."""
 _FIRM_N = 25.0
 """Pinch from which a hand holds: more than the 20 N that the judge asks for."""
 _NEAR_M = 0.025
@@ -89,12 +89,12 @@ class RewardTerm[State](NamedTuple):
 
 
 def lifted_share(state: LiftState) -> Array:
-    """Return how much of the asked height (N,), 0..1, the object has reached in both hands."""
+    """Return the share (N,), 0..1, of the required height that the object has reached in both hands."""
     return np.clip(state.lifted_m / (1.05 * state.rise_m), 0.0, 1.0)
 
 
 def is_high(state: LiftState) -> Flags:
-    """Return whether both hands have lifted the object as high as asked (N,)."""
+    """Return whether both hands have lifted the object as high as required (N,)."""
     return state.lifted_m > state.rise_m
 
 
@@ -212,7 +212,7 @@ LIFT_REWARD: tuple[RewardTerm[LiftState], ...] = (
     RewardTerm("success", 5.0, "event", success),
 )
 TOGETHER = ("grasp_both", "lift", "along", "lower", "release", "success")
-"""Terms that pay only for what both hands do."""
+"""Terms that pay only for joint work of both hands."""
 
 
 class Reward[State]:
@@ -240,7 +240,7 @@ class Reward[State]:
             self._last[term.name][worlds] = value[worlds]
 
     def pay(self, state: State) -> Mapping[str, Array]:
-        """Return what each term pays (N,), weighted."""
+        """Return the weighted reward (N,) of each term."""
         paid: dict[str, Array] = {}
         for term in self.terms:
             value = _finite(term.value(state))

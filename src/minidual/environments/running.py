@@ -78,11 +78,11 @@ class RunningTrials:
 
     @property
     def state(self) -> LiftState:
-        """What rewards read."""
+        """State for the rewards."""
         return self.referee.state(self.readings.latest)
 
     def truth(self) -> Truth:
-        """Return what critics may read beside the sensors."""
+        """Return the true state, for critics."""
         return Truth(
             self.worlds.object_poses()[:, None],
             self.worlds.object_twists(),

@@ -38,7 +38,7 @@ _LANDED_M = 0.0005
 _PRESSED_M = 0.003
 """How far below its rest height the pot is led: it must not be let go in the air."""
 _LANDING_STEPS = 4
-"""Steps at this height after which it counts as landed, whatever a noisy reading says."""
+"""Steps at this height after which it counts as landed, even if a noisy reading disagrees."""
 _FIRM_N = 57.0
 _RISE_STEP_M = 0.03
 _RISE_TO_M = 0.25
@@ -49,7 +49,7 @@ _APART_SHIFT = slice(4, 7)
 
 
 class Phase(IntEnum):
-    """What the script does in a world."""
+    """Phases of the script in a world."""
 
     REACH = 0
     DESCEND = 1
@@ -174,7 +174,7 @@ class LiftScript:
             self._aim_at_goal(world)
 
     def _aim_at_goal(self, world: int) -> None:
-        """Turn and shift the hands with what they hold, so that it comes over its goal."""
+        """Turn and shift the hands with the object, to bring it over its goal."""
         sensed = self._env.sensed
         T = sensed.objects[world, 0]
         goal = sensed.goal[world]

@@ -1,4 +1,4 @@
-"""What a policy may sense of N worlds, without the truth; the method that runs it fills the same rows."""
+"""Readings of N worlds without the truth; the method that runs a policy fills the same rows."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Sensed(NamedTuple):
 
 
 class JointReadings(NamedTuple):
-    """What is read of the arms alone, named as in `Sensed`."""
+    """Readings of the arms alone, named as in `Sensed`."""
 
     time_s: Array
     q: Array
@@ -55,7 +55,7 @@ class JointReadings(NamedTuple):
 
 
 class Senses:
-    """Adds to readings what follows from them and from earlier ones.
+    """Derives further readings from the present ones and earlier ones.
 
     Args:
         frames: (2, n / 2 + 1, 4, 4), see `ArmIK.frames`.

@@ -1,4 +1,4 @@
-"""What a batched judge reads of contacts and shapes: counts of contacts as sensors, and solids."""
+"""Contacts and shapes for a batched judge: contact counts as sensors, and solids."""
 
 import mujoco
 import numpy as np

@@ -102,7 +102,7 @@ class Check:
 
     @property
     def relative_margin(self) -> float | None:
-        """Margin over the size of the limit; None where that says nothing."""
+        """Margin relative to the limit; None where that has no meaning."""
         margin = self.margin
         if margin is None or not math.isfinite(margin):
             return None
@@ -134,7 +134,7 @@ class Check:
         return canonical(record)
 
     def content(self) -> dict[str, Any]:
-        """Return what the same work gives again: no text, and no value of a clock."""
+        """Return the reproducible part: no text, and no value of a clock."""
         return {
             "name": self.name,
             "observed": None if self.clocked else self.observed,

@@ -1,4 +1,4 @@
-"""What a verdict was made with: version, commit, machine and libraries."""
+"""The circumstances of a verdict: version, commit, machine and libraries."""
 
 import os
 import platform
@@ -15,7 +15,7 @@ _GIT_TIMEOUT_S = 10.0
 
 
 class Circumstances(NamedTuple):
-    """What a verdict was made with.
+    """The circumstances of a verdict.
 
     Attributes:
         commit: Of the checkout, with "+changes" if files differ from it; None outside a checkout.

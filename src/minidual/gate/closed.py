@@ -1,4 +1,4 @@
-"""The error of a closed gate: what closes it, and the command that opens it."""
+"""The error of a closed gate, with the reason and the command that opens it."""
 
 from collections.abc import Callable
 

@@ -127,7 +127,7 @@ def _files(name: str) -> list[Path]:
 
 
 class _Stripper(ast.NodeTransformer):
-    """Takes away docstrings and what only the type checker sees."""
+    """Removes docstrings and code for the type checker."""
 
     def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
         if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):

@@ -1,4 +1,4 @@
-"""What a stage checks: name, comparison, unit and reason of a check, without its numbers."""
+"""Criteria of a stage: name, comparison, unit and reason of a check, without its numbers."""
 
 from dataclasses import KW_ONLY, dataclass
 

@@ -1,4 +1,4 @@
-"""What a verdict depends on, and what differs now."""
+"""The fingerprint of a verdict, and its differences from the present."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TEXT_LENGTH_MAX = 60
 
 @dataclass(frozen=True)
 class Fingerprint:
-    """What a verdict depends on.
+    """Everything that a verdict depends on.
 
     A difference in the last five fields, the circumstances, only warns.
 

@@ -1,4 +1,4 @@
-"""What a stage stands on: the artefacts that it reads, and what its upstream stages found.
+"""The inputs of a stage: the artefacts that it reads, and the results of its upstream stages.
 
 A stage whose row names its inputs stands on the content of these artefacts and of the upstream
 verdicts, without times. An upstream stage that runs again and finds the same leaves it fresh. Any
@@ -14,14 +14,14 @@ from minidual.gate.verdict import CONFIG_FILE
 
 
 class Footing(NamedTuple):
-    """See `Fingerprint`, whose fields these are."""
+    """The fields of the same names of `Fingerprint`."""
 
     inputs: dict[str, str]
     upstream: dict[str, str | None]
 
 
 def footing(entry: StageEntry, upstream: Mapping[str, StageState]) -> Footing:
-    """Return what the stage of a row stands on now; `upstream`: states of its upstream stages."""
+    """Return the present inputs of a row's stage; `upstream`: states of its upstream stages."""
     inputs: dict[str, str] = {}
     results: dict[str, str | None] = {}
     for name, state in upstream.items():

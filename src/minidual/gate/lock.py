@@ -103,7 +103,7 @@ def lock_holders(folder: Path) -> dict[int, str]:
 
 
 def held_by(path: Path) -> LockHolder | None:
-    """Return a lock's holder; None if nobody holds it."""
+    """Return a lock's holder; None if it is free."""
     require(path, "file")
     try:
         with suppress(FileNotFoundError, NotADirectoryError), path.open(encoding="utf-8") as stream:

@@ -1,4 +1,4 @@
-"""Settings that a run remembers: what was typed with --set and --seed for its stages.
+"""Settings that a run remembers: the --set and --seed options of its stages.
 
 Later commands in the run apply them before their own, so that nobody types them again.
 """
@@ -21,7 +21,7 @@ Memory = dict[str, str]
 
 
 def read_memory(folder: Path) -> Memory | None:
-    """Return what the run in `folder` remembers; None if it never remembered anything.
+    """Return the settings that the run in `folder` remembers; None if it never remembered any.
 
     Raises:
         DataError: The file is damaged.
@@ -47,7 +47,7 @@ def write_memory(folder: Path, memory: Memory) -> None:
 
 
 def memory_of(overrides: Iterable[Override]) -> Memory:
-    """Return what a run remembers of typed values: those of --set and --seed."""
+    """Return the typed values that a run remembers: those of --set and --seed."""
     memory: Memory = {}
     for override in overrides:
         if override.text.startswith("--set "):

@@ -312,7 +312,7 @@ class Runner:
 
 
 def _weakened(attempt: _Attempt) -> tuple[str, ...]:
-    """Return what upstream stages and this one ask less for than the shipped profile."""
+    """Return where upstream stages and this one demand less than the shipped profile."""
     loaded = attempt.loaded
     if not loaded.config.acceptance:
         return ()

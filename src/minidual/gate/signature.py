@@ -76,7 +76,7 @@ def sign(gate: Gate, stages: Sequence[str], key: Path) -> Path:
 
 
 def unverified(gate: Gate, key: Path) -> list[str]:
-    """Return what differs from what the owner of `key` has signed, or why that is not known.
+    """Return the differences from the signature by `key`, or why they cannot be told.
 
     Args:
         gate: Of the run.

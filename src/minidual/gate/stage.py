@@ -1,4 +1,4 @@
-"""What a stage or tool gets and returns.
+"""Inputs and results of stages and tools.
 
 A stage is a function from `StageContext` to `StageResult`: it writes only in `context.folder`,
 derives randomness from `context.seed` and returns at least one check with a limit. A tool is a

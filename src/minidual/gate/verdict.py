@@ -102,7 +102,7 @@ class Verdict:
         return [check for check in self.checks if check.passed is False]
 
     def content(self) -> str:
-        """Return a digest of what was asked and found.
+        """Return a digest of the demands and the results.
 
         Times, texts, machine and code do not enter: the same work again has the same content.
         """

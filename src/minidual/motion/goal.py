@@ -58,7 +58,7 @@ class Move(_Hands[TipOffset]):
 
 
 class Goal(StrictModel):
-    """What to plan to: exactly one of the first five fields."""
+    """A goal of planning: exactly one of the first five fields."""
 
     state: str | None = None
     joints_rad: tuple[float, ...] | None = None

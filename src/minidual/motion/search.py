@@ -74,7 +74,7 @@ class EdgeChecker:
         self._work = solids.workspace()
 
     def allow(self, checks_n: int, budget: Budget) -> None:
-        """Bound what follows: the state checks of one search, and all work by `budget`."""
+        """Bound the state checks of the next search, and all work by `budget`."""
         self.checks_end = self.checks_n + checks_n
         self.budget = budget
 

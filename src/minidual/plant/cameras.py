@@ -69,7 +69,7 @@ def facing(position: Position, target: Position) -> Array:
 
 
 def _high_fovy_deg(scene: SceneConfig, R: Array) -> float:
-    """Return a vertical field of view that has all starts and goals, and what is there, in it."""
+    """Return a vertical field of view that contains all starts, goals and objects."""
     reach_m = 2.0 * max(scene.task.start_range_m, scene.task.goal_range_m)
     top_m = 2.0 * scene.object.rest_height_m
     unit_square = np.array([(x, y) for x in (-0.5, 0.5) for y in (-0.5, 0.5)])

@@ -16,7 +16,7 @@ SIMULATOR = "sim"
 
 @dataclass(frozen=True)
 class PlantRequest:
-    """What a row of `PLANTS` makes a plant from.
+    """Inputs of a row of `PLANTS`.
 
     Attributes:
         robot: The arms.
@@ -88,7 +88,7 @@ def connection(
 
 
 def _from_module(address: str, robot: Robot) -> Any:
-    """Return what a factory of a user's module makes of the robot."""
+    """Return the plant that a factory of a user's module makes."""
     try:
         factory = load_target(address)
     except Exception as error:  # another's module raises anything

@@ -1,4 +1,4 @@
-"""What a plant is beside the members that the control loop uses: life cycle, health, kinds of command.
+"""Life cycle, health and kinds of command of a plant, beside the members that the control loop uses.
 
 The control loop needs `plant.protocol.Plant` only. A plant that is reached through a network has
 more to say; a `Connection` asks it, and answers in its place where it is silent.
@@ -20,7 +20,7 @@ if TYPE_CHECKING:  # a plant on a network needs no simulator
 
 
 class CommandKind(StrEnum):
-    """What a plant takes in each control step.
+    """Kinds of command that a plant takes in a control step.
 
     torque: motor torques, at 1 kHz. position: joint targets with their velocities, at 50 to 1000
     Hz; the plant interpolates and controls its motors.
@@ -69,7 +69,7 @@ class ArmHealth(NamedTuple):
 
 
 class Sent(NamedTuple):
-    """What was really sent to the arms last; `None` arrays where the kind has none.
+    """The last command as it was sent to the arms; `None` arrays where the kind has none.
 
     Attributes:
         kind: Kind of command.
@@ -92,7 +92,7 @@ def kind_of(plant: object) -> CommandKind:
 
 
 def runs_on(plant: object) -> bool:
-    """Return whether a plant's time goes on while nobody steps; it then has `catch_up()`."""
+    """Return whether a plant's time runs on between steps; it then has `catch_up()`."""
     return hasattr(plant, "catch_up")
 
 
@@ -137,7 +137,7 @@ class Connection:
 
     @property
     def place(self) -> str:
-        """What is driven, such as `simulator`, `emulator` or `hardware`."""
+        """Kind of what is driven, such as `simulator`, `emulator` or `hardware`."""
         return str(getattr(self.plant, "place", "external plant"))
 
     @property
@@ -188,7 +188,7 @@ class Connection:
 
     @property
     def sent(self) -> Sent | None:
-        """What was sent last; None if the plant does not say."""
+        """The last command as it was sent; None if the plant does not report it."""
         return getattr(self.plant, "sent", None)
 
     def twin(self) -> "Twin | None":
@@ -201,11 +201,11 @@ class Connection:
         return None if make is None else make()
 
     def recover(self) -> None:
-        """Clear what can be cleared; see `healths` for the rest."""
+        """Clear the faults that can be cleared; `healths` has the rest."""
         self._call("recover")
 
     def close(self) -> None:
-        """Let go of the plant; the arms stay under their own control."""
+        """Release the plant; the arms stay under their own control."""
         self._call("close")
 
     def __enter__(self) -> Self:

@@ -116,7 +116,7 @@ class Recorder:
         kind: Literal["dump", "trial"] = "trial",
         details: Mapping[str, Any] | None = None,
     ) -> Recording:
-        """Return what was kept."""
+        """Return the kept second."""
         first = self._stretches[0].first_step
         steps = [stretch.first_step - first for stretch in self._stretches]
         states = [stretch.state for stretch in self._stretches]

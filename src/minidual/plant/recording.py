@@ -212,7 +212,7 @@ def _read_arrays(path: Path, remedy: str) -> dict[str, _AnyArray]:
 
 
 def _validated(header: dict[str, Any], arrays: Mapping[str, _AnyArray]) -> Recording:
-    """Return the recording of a header and arrays; ValidationError names what does not fit."""
+    """Return the recording of a header and arrays; ValidationError names the first misfit."""
     values = {name: value for name, value in header.items() if name not in ("format", "version")}
     values["model"] = {
         name.removeprefix(_MODEL_PREFIX): array

@@ -1,4 +1,4 @@
-"""What a method may sense beside the arms: poses and forces of objects, pictures."""
+"""Sensors of a method beside the arms: poses and forces of objects, pictures."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class _Clock(Protocol):
 
 
 class ToldSenses:
-    """Senses of a plant that brings none: objects are where a person says that they are.
+    """Senses of a plant without sensors: a person declares where the objects are.
 
     Args:
         address: Of the plant, for messages.

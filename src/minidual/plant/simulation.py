@@ -1,4 +1,4 @@
-"""What is read of a simulated scene to draw, log or disturb it: the plant's own, or a copy of it."""
+"""A simulated scene to draw, log or disturb: the plant's own, or a copy of it."""
 
 from collections.abc import Callable
 from typing import Any, Protocol

@@ -18,7 +18,7 @@ MIRRORED = (
     | mujoco.mjtState.mjSTATE_CTRL
     | mujoco.mjtState.mjSTATE_WARMSTART
 )
-"""What a copy of a world needs: contact forces follow from it."""
+"""Parts of the state that a copy of a world needs; contact forces follow from them."""
 
 
 class Twin(Protocol):

@@ -29,7 +29,7 @@ from minidual.robot.pair import DUAL_PANDA, Array, Robot
 
 
 class StepRecorder(Protocol):
-    """What records a world's steps; see `plant.recorder`."""
+    """Records a world's steps; see `plant.recorder`."""
 
     def before_step(self) -> None:
         """Note the state and the commands of the next step."""

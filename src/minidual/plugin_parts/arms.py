@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class ArmsSettings:
-    """What the simulated arms do.
+    """The simulated arms of a plug-in.
 
     Attributes:
         task: Row of TASKS.

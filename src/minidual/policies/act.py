@@ -45,7 +45,7 @@ class ActKind(PolicyKind):
         return ACTPolicy(_policy_config(ACTConfig, config, demos))
 
     def architecture(self, policy_config: PreTrainedConfig) -> Architecture:
-        """Return what the network of this configuration is."""
+        """Return the description of this configuration's network."""
         return STOCK_ACT
 
     def require(self, device: str) -> None:

@@ -1,4 +1,4 @@
-"""What the networks of policies are, by the name that tables and reports print.
+"""Descriptions of policies' networks, by the name that tables and reports print.
 
 The command `train-act`, the method `act` and the keys of JSON files keep their names.
 """
@@ -36,5 +36,5 @@ _ARCHITECTURES = {row.name: row for row in (KEYFRAME_ACT, KEYPOINT_ACT, STOCK_AC
 
 
 def architecture(name: str) -> Architecture:
-    """Return what is known of a network; of another distribution's, only its name."""
+    """Return the description of a network; of another distribution's, only its name."""
     return _ARCHITECTURES.get(name, Architecture(name, ""))

@@ -87,7 +87,7 @@ class BatchMaker:
             self._stats[key] = {name: value.to(config.device) for name, value in values.items()}
 
     def _scale_of_noise(self, demos: Demonstrations, stats: Stats) -> Array:
-        """Return what one radian of state noise is in the units of each joint (n,)."""
+        """Return one radian of state noise in the units of each joint (n,)."""
         if demos.takes is None or demos.takes.radians:
             return np.ones(len(self._joints))
         std = stats[STATE]["std"].numpy().astype(float)
@@ -152,7 +152,7 @@ class BatchMaker:
 
 
 def driver_weights(driver: Rows, config: TrainConfig) -> Array:
-    """Return the sampling weight of ticks (N,) by who drove (N,).
+    """Return the sampling weight of ticks (N,) by their driver (N,).
 
     Raises:
         DataError: No tick has any weight.
@@ -172,7 +172,7 @@ def driver_weights(driver: Rows, config: TrainConfig) -> Array:
 
 
 class DrawnBatch(NamedTuple):
-    """The batch of a step, and the seed of what the policy draws in it."""
+    """The batch of a step, and the seed of the policy's random draws in it."""
 
     seed: int
     tensors: Batch

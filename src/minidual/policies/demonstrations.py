@@ -189,7 +189,7 @@ def load_demonstrations(
 
 
 def _driver(root: Path) -> Rows | None:
-    """Return who drove in each tick (N,), None if it was not recorded."""
+    """Return the driver of each tick (N,), None if it was not recorded."""
     values = read_signal(root, "driver")
     if values is None:
         return None

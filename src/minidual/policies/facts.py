@@ -1,4 +1,4 @@
-"""What a checkpoint tells of the robot and the data that it was trained on, and whether they fit.
+"""Facts of a checkpoint about its robot and training data, and whether they fit.
 
 A network maps numbers to numbers: with other units, joints or rates it moves arms all the same.
 """
@@ -30,7 +30,7 @@ _NAMED_MAX = 3
 
 @dataclass(frozen=True)
 class PolicyFacts:
-    """What is known of a policy's training.
+    """Known facts of a policy's training.
 
     Attributes:
         names: Of the numbers of state and action; None: unknown.
@@ -62,7 +62,7 @@ class Place(NamedTuple):
 
 
 class Driver(NamedTuple):
-    """What a policy reads and drives.
+    """Inputs and outputs of a policy.
 
     Attributes:
         cameras: (H, W) by camera.
@@ -77,7 +77,7 @@ class Driver(NamedTuple):
 
 
 def read_facts(folder: Path) -> PolicyFacts:
-    """Return what a LeRobot checkpoint tells, without its network.
+    """Return the facts of a LeRobot checkpoint, without its network.
 
     Its rate and its names are those of the dataset, if that lies where it was trained on.
 

@@ -107,7 +107,7 @@ class TrainResult:
 
 
 class Training(NamedTuple):
-    """What to train a policy on; `progress` is the file of an interrupted training."""
+    """Inputs of a training; `progress` is the file of an interrupted one."""
 
     demos: Demonstrations
     config: TrainConfig

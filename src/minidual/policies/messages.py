@@ -21,7 +21,7 @@ _Size = Annotated[int, Field(ge=1, le=4096)]
 
 
 class Hello(BaseModel):
-    """What a server says of its policy when somebody connects. Further keys are ignored.
+    """Description of its policy that a server sends on connection. Further keys are ignored.
 
     Attributes:
         protocol: Version of the messages.
@@ -87,7 +87,7 @@ def unpack(data: bytes) -> dict[str, Any]:
 
 
 def hello_of(data: bytes) -> Hello:
-    """Return what a server says of its policy.
+    """Return a server's description of its policy.
 
     Raises:
         DataError: A key is missing or wrong.

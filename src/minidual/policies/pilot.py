@@ -63,7 +63,7 @@ def load_runtime(
 
 
 def driver_of(policy: ChunkPolicy) -> Driver:
-    """Return what a policy reads, drives, and was trained on."""
+    """Return the inputs, outputs and training facts of a policy."""
     return Driver(policy.cameras, policy.state_dim, policy.dim, policy.facts)
 
 

@@ -40,7 +40,7 @@ class Latency(NamedTuple):
 
 
 AS_MEASURED = Latency()
-"""At the usual rate, as long as the policy says."""
+"""Latency at the usual rate, as long as the policy's answers take."""
 
 
 class PolicyRuntime:
@@ -175,7 +175,7 @@ class PolicyRuntime:
         self._upper = np.concatenate([upper, np.ones(GRIPPERS_N)])
 
     def _infer(self, images: Pictures, state: Array) -> Array:
-        """Return a checked chunk for what the cameras show."""
+        """Return a checked chunk for the cameras' pictures."""
         rendered = self._rendered(images)
         chunk = self.predict_chunk(rendered, state)
         used = {camera: rendered[camera] for camera in self.cameras}
@@ -184,7 +184,7 @@ class PolicyRuntime:
         return chunk
 
     def _rendered(self, images: Pictures) -> dict[str, Image]:
-        """Render what the policy uses, in the order given."""
+        """Render the policy's cameras, in the order of `images`."""
         self._check_cameras(images)
         rendered: dict[str, Image] = {}
         for camera, image in images.items():

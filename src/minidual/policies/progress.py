@@ -1,4 +1,4 @@
-"""What a training writes down, so that an interrupted one can go on."""
+"""The progress of a training, saved so that an interrupted one can go on."""
 
 import hashlib
 import io
@@ -153,7 +153,7 @@ class ProgressFile:
 
 
 def training_fingerprint(demos: Demonstrations, config: TrainConfig, seed: int, policy: Any) -> str:
-    """Return a hash of what determines the weights (images sampled)."""
+    """Return a hash of everything that determines the weights (images sampled)."""
     digest = hashlib.sha256()
     settings = config.model_dump(exclude=SETTINGS_WITHOUT_INFLUENCE)
     layout = [(name, list(values.shape)) for name, values in policy.state_dict().items()]

@@ -20,7 +20,7 @@ _ANSWER_TIMEOUT_S = 60.0
 
 
 class ServerPolicy(ChunkPolicy):
-    """Sends what cameras and joints measure, and gets a chunk of actions.
+    """Sends pictures and joint readings, and gets a chunk of actions.
 
     The simulation stands still while it waits; `answer_s` says how long that was.
 
@@ -133,7 +133,7 @@ class ServerKind(PolicyKind):
     """Policies that other programs serve."""
 
     def train(self, job: Training, folder: Path) -> TrainResult:
-        """Refuse: who serves a policy trains it.
+        """Refuse: a served policy is trained where it is served.
 
         Raises:
             UsageError: Always.

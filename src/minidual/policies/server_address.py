@@ -1,4 +1,4 @@
-"""Addresses of policy servers, without what talks to them."""
+"""Addresses of policy servers; no connection."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""What a policy takes and gives, by name: `takes.json` beside its weights."""
+"""Names of a policy's inputs and outputs: `takes.json` beside its weights."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -24,7 +24,7 @@ _OTHER_ROBOT = (
 
 
 class Takes(StrictModel):
-    """Names of what a policy reads and commands.
+    """Names of a policy's inputs and outputs.
 
     Attributes:
         state, action: Entries of a state and of an action.
@@ -69,7 +69,7 @@ def write_takes(takes: Takes, folder: Path) -> None:
 
 
 def read_takes(checkpoint: Path) -> Takes | None:
-    """Return what a checkpoint's policy takes, None where nothing is written.
+    """Return the inputs and outputs of a checkpoint's policy, None if they are not recorded.
 
     Raises:
         DataError: The file is damaged.

@@ -35,7 +35,7 @@ class Link(NamedTuple):
 
 
 class _Prepared(NamedTuple):
-    """Links and joints of an arm and its hand, and what was mended in them."""
+    """Links and joints of an arm and its hand, and the repairs of their description."""
 
     elements: tuple[ET.Element, ...]
     notes: tuple[str, ...]
@@ -54,7 +54,7 @@ def arm_elements(arm: ArmModel) -> tuple[ET.Element, ...]:
 
 
 def description_notes(robot: Robot) -> tuple[str, ...]:
-    """Return what was mended in the descriptions of both arms."""
+    """Return the repairs of the descriptions of both arms."""
     return tuple(dict.fromkeys(note for arm in robot.arms for note in _prepared(arm).notes))
 
 

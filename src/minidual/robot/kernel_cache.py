@@ -1,4 +1,4 @@
-"""Where numba keeps compiled kernels, and what is said where it can keep none."""
+"""Folder of numba's compiled kernels, and the message where there can be none."""
 
 import logging
 import os

@@ -132,7 +132,7 @@ def own_name(path: Path) -> Path:
 
 
 def _stored(path: Path, purpose: bytes) -> Path:
-    """Return where the user's cache holds what is made from a file, by its content."""
+    """Return the path in the user's cache for a product of a file, by the file's content."""
     digest = hashlib.sha256(_RULE_VERSION + purpose)
     digest.update(path.suffix.lower().encode())
     digest.update(path.read_bytes())

@@ -32,7 +32,7 @@ GRIPPERS_N = len(SIDES)
 
 
 _EQUAL_OF_A_PAIR = ("hand", "damping", "friction")
-"""What the controllers hold once for both arms."""
+"""Constants of an arm model that the controllers share between both arms."""
 
 
 class Robot:

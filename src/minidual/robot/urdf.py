@@ -83,7 +83,7 @@ def read_urdf(address: str, packages: Packages = ()) -> ET.Element:
 
 
 def _check_expanded(root: ET.Element, path: str) -> None:
-    """Refuse what xacro should have replaced."""
+    """Refuse text that xacro should have replaced."""
     for element in root.iter():
         rest = next((v for v in element.attrib.values() if v.startswith(_XACRO) or "${" in v), "")
         if not rest and "ros.org" in element.tag and "xacro" in element.tag:

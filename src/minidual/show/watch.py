@@ -135,7 +135,7 @@ def trial_hook(view: View, bench: Bench, title: str) -> StepHook:
 
 
 def _narrator(bench: Bench, method: Method, title: str) -> Narrator:
-    """Return what describes a trial of a method."""
+    """Return the description of a trial of a method."""
     stack = getattr(method, "stack", None)
     if isinstance(stack, ControlStack):
         return StackNarrator(
@@ -229,7 +229,7 @@ class StackNarrator:
         )
 
     def _source(self) -> str:
-        """Return who commands the arms; in a trial the method does, whatever its source is called."""
+        """Return the source that commands the arms; in a trial, the method."""
         source = self.stack.output.active_source
         if source is None:
             return "none, posture held"

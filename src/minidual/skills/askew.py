@@ -1,4 +1,4 @@
-"""Parts that stand askew between the fingers: what the gap tells, and what is tried where one is stuck.
+"""Parts askew between the fingers: their angle by the gap, and trials where one is stuck.
 
 A box that pads hold by an edge each stands askew by friction. It keeps the fingers further apart
 than its width, by the length of a pad times the angle. The gap has no sign, so a part that does not
@@ -26,7 +26,7 @@ _MOST_RAD = np.radians(6.0)
 _STUCK_M = 0.008
 """Lag from which a part does not follow: the spring gives its most from 5 mm on."""
 _FREE_M = 0.004
-"""A part that is drawn back leaves what it touched by this much."""
+"""Distance by which a part is drawn back from a contact."""
 _BACK_S = 0.5
 """Time for drawing back and turning."""
 _TRY_S = 1.6
@@ -61,12 +61,12 @@ class HeldPart:
     seen_rad: float = 0.0
 
     def turned(self, sign: float) -> InHand:
-        """Return what the hand holds if the part stands askew by sign * angle about the hand's axis."""
+        """Return the held part, askew by sign * angle about the hand's axis."""
         return turned_in_hand(self.held, sign * self.angle)
 
 
 def turned_in_hand(held: InHand, angle_rad: float) -> InHand:
-    """Return what a hand holds if it stands askew by an angle about the hand's axis."""
+    """Return the held part, askew by an angle about the hand's axis."""
     turn = pose(rot_z(angle_rad), (0.0, 0.0, 0.0))
     return held._replace(T_tcp_object=turn @ held.T_tcp_object)
 
@@ -89,7 +89,7 @@ class Meeting(NamedTuple):
 
 
 class Mating(Protocol):
-    """What acts on a part while a soft hand pushes it into another one."""
+    """Corrects a part while a soft hand pushes it into another one."""
 
     def update(self, q: Array, q_ref: Array, now_s: float) -> None:
         """Act, `EVERY_S` after the last time; q and q_ref (n,) [rad] are measured and planned."""
@@ -101,7 +101,7 @@ class Mating(Protocol):
 
 
 class AskewSearch:
-    """Corrects what a soft hand and the other one hold, and tries other signs where a part is stuck.
+    """Corrects the parts in both hands, and tries other signs where one is stuck.
 
     Call `update` some times a tenth of a second while the soft hand pushes.
     """
@@ -165,7 +165,7 @@ class AskewSearch:
 
 
 def part_in_hand(held: InHand, gap_m: float, width_m: float, seen_rad: Sequence[float]) -> HeldPart:
-    """Return the part in a hand whose fingers are so far apart.
+    """Return the part in a hand, askew by the gap of its fingers.
 
     Args:
         seen_rad: Turns of the part about the hand's axis, as the camera saw it in the hand; their

@@ -1,4 +1,4 @@
-"""Phases of a carry under object impedance: what the hands and the object do, one after another.
+"""Phases of a carry under object impedance, in order.
 
 Source `moveit` proposes joint motions for free hands (controller A) and object motions for holding
 hands (C). See docs/carry.md.

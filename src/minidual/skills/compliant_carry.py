@@ -16,7 +16,7 @@ from minidual.skills.states import OPEN, Segment
 from minidual.tasks.task import Task, Trial
 
 _LOOK_PHASE = "carry"
-"""Phase at whose end the camera looks at what the hands hold."""
+"""Phase at whose end the camera measures the held parts."""
 _LOOKS_N = 20
 
 
@@ -97,7 +97,7 @@ class CompliantCarry(PlannedCarry):
             del turns[:-_LOOKS_N]
 
     def _new_mating(self, meeting: Meeting) -> Mating | None:
-        """Return what acts while the soft hand pushes; None pushes straight on."""
+        """Return the mating that acts while the soft hand pushes; None pushes straight on."""
         return AskewSearch(meeting)
 
     def _meeting(self, segment: Segment) -> Meeting:
@@ -109,7 +109,7 @@ class CompliantCarry(PlannedCarry):
         return Meeting(law, parts[own], parts[1 - own], own, self.plant.time)
 
     def _part(self, arm: int) -> HeldPart:
-        """Return what a hand holds, with how askew its fingers say that it stands."""
+        """Return the part in a hand, askew by the gap of its fingers."""
         held = self.stack.hands[arm].law.held
         if not held.name:
             return HeldPart(held, 0.0)
@@ -118,7 +118,7 @@ class CompliantCarry(PlannedCarry):
         return part_in_hand(held, gap_m, width_m, self._turns.get(held.name, []))
 
     def _mate(self, mating: Mating) -> None:
-        """Let the mating act while the part is pushed in; what it cannot read stops the arms."""
+        """Run the mating while the part is pushed in; an invalid reading stops the arms."""
         if self.stack.stopping or self.aborted is not None:
             self._mating = None
             return

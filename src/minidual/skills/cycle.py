@@ -54,7 +54,7 @@ _OF_HANDS = {
 
 
 class _Run(NamedTuple):
-    """What successive steps have in common."""
+    """State that successive steps share."""
 
     carrying: bool
     hands: tuple[str, ...]

@@ -80,7 +80,7 @@ def _streamed(segment: Segment, robot: Robot, errors_m: Array, rate_hz: float) -
 
 
 def _shift_along(arm: ArmIK, q: Array, offsets_m: Array) -> None:
-    """Shift a hand by offsets (T,) along what lies between its fingers; q is (T, n) [rad]."""
+    """Shift a hand by offsets (T,) along the part between its fingers; q is (T, n) [rad]."""
     for row, offset_m in zip(q[:, arm.joints], offsets_m.tolist(), strict=True):
         T_world_tcp = arm.tcp_pose(row) @ pose(np.eye(3), (offset_m, 0.0, 0.0))
         shifted = arm.nearest(T_world_tcp, row)

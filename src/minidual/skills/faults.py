@@ -1,4 +1,4 @@
-"""Faults of a carry: detection, and what the hands do. Latencies: docs/carry-faults.md."""
+"""Faults of a carry: their detection, and the commands of the hands. Latencies: docs/carry-faults.md."""
 
 import math
 from collections.abc import Sequence
@@ -59,7 +59,7 @@ class Fault(NamedTuple):
 
 
 class Order(StrEnum):
-    """What the hands are commanded to do."""
+    """Commands of the hands."""
 
     NONE = ""
     OPEN = "open"

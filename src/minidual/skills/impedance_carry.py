@@ -91,7 +91,7 @@ class ImpedanceCarry:
         self._stop_s = 0.0
         self._commanded: Array | None = None
         self._defect: BaseException | None = None
-        """What failed in a controller, to be raised once the arms have stopped."""
+        """Failure of a controller, raised once the arms have stopped."""
         self._cycle = self._phases.run()
         self._advance()
 
@@ -221,7 +221,7 @@ class ImpedanceCarry:
             self._note(Fault("reflex", reflex.text, reflex.time_s))
 
     def _heed_arbiter(self) -> None:
-        """Note what the arbiter did in this step."""
+        """Note the arbiter's interruptions of this step."""
         if self.done:
             return
         fault = self._interruptions.new_fault()

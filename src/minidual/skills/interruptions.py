@@ -1,4 +1,4 @@
-"""What the arbiter did to a carry: halts, other modes, refusals, silence."""
+"""Interruptions of a carry by the arbiter: halts, other modes, refusals, silence."""
 
 from minidual.control.commands import ArbiterState
 from minidual.control.stack import ControlStack

@@ -77,7 +77,7 @@ class Demonstration:
 
 @dataclass(frozen=True)
 class Style:
-    """What a trial's operator does in its own way.
+    """Individual variation of a trial's operator.
 
     Attributes:
         pace: Factors of the durations, by phase.

@@ -126,7 +126,7 @@ class PlannedCarry(Drive):
         super()._stopped(error)
 
     def _grasp_again(self, solution: Solution, segment: Segment, torque: Array) -> None:
-        """Back off from what a finger came down on, and grasp it further towards that finger.
+        """Back off from the object that a finger came down on, and grasp it further towards that finger.
 
         Args:
             solution: The plan that was driven.
@@ -176,7 +176,7 @@ def _at_known_height(
     trial: Trial,
     poses: Mapping[str, Array],
 ) -> dict[str, Array]:
-    """Return level poses (4, 4); what starts on the table has its known height."""
+    """Return level poses (4, 4); objects that start on the table have their known height."""
     level_poses: dict[str, Array] = {}
     for name, T in poses.items():
         starts_on_table = isinstance(trial.start.get(name), tuple)

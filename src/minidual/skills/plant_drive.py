@@ -1,4 +1,4 @@
-"""Drive any plant by streamed joint targets, and keep what it measured."""
+"""Drive any plant by streamed joint targets, and keep its measurements."""
 
 import itertools
 import time
@@ -38,7 +38,7 @@ class DriveError(MinidualError):
 
 @dataclass(frozen=True, eq=False)
 class Driven:
-    """What a plant measured in T control steps.
+    """Measurements of a plant in T control steps.
 
     Attributes:
         t: (T,) [s] on the plant's clock.

@@ -72,7 +72,7 @@ def _engine(robot: Robot, shapes: tuple[Shape, ...]) -> MujocoEngine:
 
 
 class SceneClearance:
-    """See `Clearance`: arms, table, and what the hands hold.
+    """See `Clearance`: arms, table, and held objects.
 
     Args:
         robot: Arms.

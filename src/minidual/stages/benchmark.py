@@ -173,7 +173,7 @@ def _holes(
 
 
 def _hole(cell: benchmark.BenchmarkCell, read_n: int) -> str:
-    """Return what a cell that is not settled lacks."""
+    """Return what is missing to settle a cell."""
     if cell.undisturbed:
         return f" (trial {cell.undisturbed[0]} succeeded undisturbed)"
     if cell.summary is not None and read_n < cell.asked_n:

@@ -93,7 +93,7 @@ def _write(folder: Path, job: FilmJob) -> int:
 
 
 def caption(job: FilmJob, speed: int) -> str:
-    """Return what stands below a film."""
+    """Return the caption of a film."""
     names = " and ".join([", ".join(job.methods[:-1]), job.methods[-1]]).removeprefix(" and ")
     faster = f", {speed} times as fast" if speed > 1 else ""
     return f"{job.inputs.config.task}: start {job.index}, undisturbed, by {names}{faster}"

@@ -75,7 +75,7 @@ def augment_record(
     sources_n: int,
     refused: Sequence[str],
 ) -> dict[str, Any]:
-    """Return what became of all attempts, in JSON types."""
+    """Return the outcome of all attempts, in JSON types."""
     reasons = Counter(_short(attempt.reason) for attempt in attempts if not attempt.kept)
     return {
         "sources": sources_n,
@@ -149,7 +149,7 @@ def _job(context: ToolContext, folder: Path) -> tuple[rig.Job, list[str], int]:
 
 
 def _inputs(context: ToolContext, job: rig.Job) -> dict[str, Any]:
-    """Return what determines the episodes: settings, code, and the demonstrations that are moved."""
+    """Return the inputs of the episodes: settings, code, and the demonstrations that are moved."""
     inputs = recording_inputs(job.task.config)
     inputs["seed"] = job.seed
     paths = source_paths(job.teleop.augment.path)

@@ -120,7 +120,7 @@ def _lead(
 
 
 def numbers_of(led: Led, rate_hz: float) -> dict[str, float]:
-    """Return what was measured; NaN for what did not happen."""
+    """Return the measurements; NaN for events that did not happen."""
     ticks = led.ticks
     action = np.array([tick.action for tick in ticks])
     q = np.array([tick.q for tick in ticks])

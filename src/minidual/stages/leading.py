@@ -1,4 +1,4 @@
-"""What surrounds a recording while it runs: the live view, and the station of a person who leads."""
+"""The live view and the station of a person who leads, while a recording runs."""
 
 import sys
 from collections.abc import Generator
@@ -17,7 +17,7 @@ from minidual.show.watch import watch_recording
 
 @contextmanager
 def leading(context: StageContext) -> Generator[Observe | None]:
-    """Yield what to enter around each trial; None if nobody watches or leads.
+    """Yield the context of each trial; None without a live view and a person who leads.
 
     A leader that needs a picture gets the live view, although it was not asked for.
     """

@@ -80,7 +80,7 @@ def modes(context: ToolContext) -> ToolResult:
 
 
 def _run(context: ToolContext, demo: ModesDemo, place: ModesPlace, modes_n: int) -> list[Shot]:
-    """Run the demonstration; return what a film shows of it, nothing without a world."""
+    """Run the demonstration; return the frames of its film, none without a world."""
 
     def phase() -> tuple[str, str | None]:
         return "" if demo.turn is None else demo.turn.caption, None
@@ -188,7 +188,7 @@ def _counted(demo: ModesDemo, bar: ProgressTask) -> Iterator[Turn]:
 
 
 def _notes(demo: ModesDemo, context: ToolContext) -> list[str]:
-    """Return what each switch and turn measured, and what was refused or exceeded."""
+    """Return the measurements of each switch and turn, the refusals and the exceeded bounds."""
     arbiter = context.config.arbiter
     notes: list[str] = []
     for switch in demo.switches:

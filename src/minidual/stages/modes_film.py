@@ -1,4 +1,4 @@
-"""The film of `minidual modes`: the scene above a bar that says who drives.
+"""The film of `minidual modes`: the scene above a bar that names the driver.
 
 Postures are kept while it runs and drawn afterwards: a plant on a network does not wait for pictures.
 """
@@ -31,7 +31,7 @@ _NOBODY = (96, 96, 96)
 
 
 class Bar(NamedTuple):
-    """What the bar under a picture says."""
+    """Text of the bar under a picture."""
 
     driver: str
     caption: str
@@ -41,7 +41,7 @@ class Bar(NamedTuple):
 
     @classmethod
     def of(cls, stack: ControlStack[Plant], turn: Turn) -> "Bar":
-        """Return what is to be said at this moment."""
+        """Return the text of this moment."""
         source = stack.output.active_source
         if source is None:
             colour = _NOBODY
@@ -73,7 +73,7 @@ def shots_of(
     stack: ControlStack[Plant],
     world: Simulation,
 ) -> list[Shot]:
-    """Run `steps`; return what a film at FILM_FPS shows of the world."""
+    """Run `steps`; return the frames of a film at FILM_FPS."""
     shots: list[Shot] = []
     began_s = stack.plant.time
     for turn in steps:

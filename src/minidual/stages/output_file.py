@@ -1,4 +1,4 @@
-"""Files that a tool is told to write."""
+"""Output files of a tool."""
 
 import os
 from pathlib import Path

@@ -34,7 +34,7 @@ Targets = dict[str, Path]
 
 
 class _Query(NamedTuple):
-    """A start in a scene, and who plans from it.
+    """A start in a scene, and the planner from there.
 
     Attributes:
         q_start: (n,) [rad], both arms.
@@ -157,7 +157,7 @@ def _write(
     result: PlanResult,
     title: str,
 ) -> list[str]:
-    """Write the files that were asked for; return the notes of the plan and one for each file."""
+    """Write the requested files; return the notes of the plan and one for each file."""
     notes = [*result.notes]
     motion = result.trajectory
     names = scene.robot.joint_names

@@ -35,7 +35,7 @@ _TASK_LAYOUT = tuple(
         "obstacle",
     )
 )
-"""What places the objects, the obstacle, the marks and the cameras that see them."""
+"""Settings that place the objects, the obstacle, the marks and the cameras."""
 _TASK_MOTION = tuple(
     f"scene.task.{name}"
     for name in (
@@ -46,7 +46,7 @@ _TASK_MOTION = tuple(
         "tilt_max_rad",
     )
 )
-"""What else planning a carry reads; how its end is judged is not among it."""
+"""Further settings that planning a carry reads; those of the judge are not among them."""
 _CARRY_SETTINGS = {
     "trials": "carry.trials_n",
     "object": "carry.object",

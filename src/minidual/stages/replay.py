@@ -16,7 +16,7 @@ from minidual.stages.output_file import target_file
 
 @dataclass(frozen=True)
 class _Pictures:
-    """What to draw of a replay.
+    """Curves to draw of a replay.
 
     Attributes:
         video: File of the film, or None.
@@ -102,7 +102,7 @@ def replay_tool(context: ToolContext) -> ToolResult:
 
 
 def _pictures(options: Mapping[str, Any]) -> _Pictures:
-    """Return what the options ask for.
+    """Return the request of the options.
 
     Raises:
         UsageError: A value is out of bounds, a file cannot be written, or an option needs another.

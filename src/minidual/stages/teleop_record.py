@@ -144,7 +144,7 @@ def record_checks(numbers: Mapping[str, float], config: TeleopConfig) -> list[Ch
 
 
 def recording_inputs(config: Config) -> dict[str, Any]:
-    """Return what determines the episodes (JSON types)."""
+    """Return the inputs of the episodes (JSON types)."""
     code = code_of(["minidual.demos.recording:attempts_of", "minidual.trials.conditions:rooms"])
     values = {path: canonical(attrgetter(path)(config), path) for path in READS}
     return {"seed": config.seed, "code": code.modules, **values}
@@ -229,7 +229,7 @@ def run(context: StageContext) -> StageResult:
 
 
 def _draw_link(context: StageContext, kept: Sequence[rig.Attempt]) -> None:
-    """Draw what the link did in the first demonstration, if there is one."""
+    """Draw the log of the link in the first demonstration, if there is one."""
     if not context.config.teleop.link.network or not kept:
         return
     path = AttemptFiles(context.folder).link_path(kept[0].trial.index)
@@ -252,7 +252,7 @@ def _job(context: StageContext) -> rig.Job:
 
 
 def _policy(config: Config) -> Callable[[], DrivingPolicy] | None:
-    """Return what loads the policy that is to be corrected, or None."""
+    """Return the loader of the policy to be corrected, or None."""
     if not config.teleop.correct:
         return None
     from minidual.policies.pilot import load_runtime  # torch takes seconds

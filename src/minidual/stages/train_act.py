@@ -100,7 +100,7 @@ def train_checks(
 
 
 def action_checks(emitted: EmittedActions, config: TrainConfig, robot: Robot) -> list[Check]:
-    """Return the checks of what a reloaded checkpoint commands."""
+    """Return the checks of a reloaded checkpoint's commands."""
     return [
         ACTIONS_IN_LIMITS.check(emitted.in_limits, config.actions_in_limits_min),
         TARGETS_N.check(emitted.targets_n, robot.dof + GRIPPERS_N),
@@ -179,7 +179,7 @@ def _train(
     seed: int,
     place: Path,
 ) -> tuple[TrainResult, EmittedActions]:
-    """Train, and let the checkpoint answer to the dataset."""
+    """Train, and run the checkpoint on the dataset."""
     config = context.config.train
     folder = _training_folder(context, k)
     folder.mkdir(exist_ok=True)
@@ -204,7 +204,7 @@ def _write_records(
     result: TrainResult,
     emitted: EmittedActions,
 ) -> dict[str, Any]:
-    """Write loss.csv, loss.svg and train.json; return what train.json holds."""
+    """Write loss.csv, loss.svg and train.json; return the content of train.json."""
     folder = _training_folder(context, k)
     write_loss_csv(result.curve, folder / "loss.csv")
     draw_loss(result, folder / "loss.svg")

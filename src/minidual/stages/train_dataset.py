@@ -75,7 +75,7 @@ def dataset_folder(text: str) -> Path:
 
 
 def train_dataset(context: ToolContext) -> ToolResult:
-    """Train on a dataset, reload the checkpoint, and say what it takes.
+    """Train on a dataset, reload the checkpoint, and report its inputs.
 
     Raises:
         UsageError: No such dataset or camera, or a number is out of range.
@@ -192,7 +192,7 @@ def _write_records(
 
 
 def _notes(demos: Demonstrations) -> list[str]:
-    """Return what a user should know before the training begins."""
+    """Return the notes for a user before the training begins."""
     notes: list[str] = []
     heights = [demos.images[camera].shape[1] for camera in demos.cameras]
     if max(heights) > _HIGH_PX:

@@ -185,7 +185,7 @@ def _unscored(
     inputs: MethodInputs,
     trials: Sequence[Trial],
 ) -> ToolResult:
-    """Drive one trial where only a person can judge, and say what is to be confirmed."""
+    """Drive one trial that only a person can judge, and print what to confirm."""
     task = make_task(inputs.config)
     placed_by = str(context.options.get("placed-by", ""))
     check_placed(placed_by, link, task, trials)

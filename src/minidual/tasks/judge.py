@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # the judge of a batch imports no MuJoCo
     from minidual.plant.bodies import ObjectPose
 
 REST_S = 0.1
-"""Conditions must hold this long: an object let go in the air rests for an instant too."""
+"""Conditions must hold this long: an object released in the air rests for an instant too."""
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ HIGH_SHARE = 0.5
 SHIFT_M = 0.03
 """Hands that close on an object, or put it down, may shift it by this much."""
 SETTLE_M = 0.005
-"""An object that was let go may settle by this much."""
+"""A released object may settle by this much."""
 SET_DOWN_M = 0.001
-"""An object may be let go this high over the table."""
+"""An object may be released this high over the table."""
 SPEED_M_PER_S = 1.7
 """Largest speed of the arms' hands."""
 ALONE_M = 0.1
@@ -27,7 +27,7 @@ ALONE_M = 0.1
 BOTH_S = 0.1
 """Both hands of an exchange hold the object for this long."""
 FREE_S = 0.05
-"""Fingers that leave an object for a shorter time have not let go."""
+"""Fingers that leave an object for a shorter time have not released it."""
 
 
 @dataclass
@@ -93,7 +93,7 @@ class Slow(OfObject):
 
 @dataclass
 class Settled(OfObject):
-    """Hands let go of the object on the table, and it stays there unless they lift it again."""
+    """Hands release the object on the table, and it stays there unless they lift it again."""
 
     name = "settled"
     height_m: float

@@ -30,7 +30,7 @@ class SuccessCondition:
     """Only measured unless demanded."""
 
     def each(self) -> Sequence[tuple[str, SuccessCondition]]:
-        """Return its parts, each with what introduces its violations."""
+        """Return its parts, each with the prefix of its violations."""
         return [("", self)]
 
     def has(self, method: str) -> bool:
@@ -69,7 +69,7 @@ class OfObject(SuccessCondition):
 
 
 class AtEnd(OfObject):
-    """A condition of the final state: met unless `end` says what is wrong."""
+    """A condition of the final state: met unless `end` returns a violation."""
 
     def holds(self, truth: Truth) -> bool:
         return not self.end(truth)

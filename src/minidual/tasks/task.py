@@ -1,4 +1,4 @@
-"""What a task consists of, its trials, and the placements of objects."""
+"""The parts of a task, its trials, and the placements of objects."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class TrueObject(Protocol):
 
 
 class GroundTruth(Protocol):
-    """What is true of objects and contacts: a simulated world, for the judge only."""
+    """True state of objects and contacts: a simulated world, for the judge only."""
 
     @property
     def time(self) -> float:

@@ -1,4 +1,4 @@
-"""What paired trials say about two methods: which succeeds more often, and how their motions differ."""
+"""Comparison of two methods on paired trials: success rates, and differences of their motions."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ def corrected(answers: Sequence[Answer]) -> list[Answer]:
 
 
 def headlines(tasks: Mapping[str, Mapping[str, Any]]) -> list[Answer]:
-    """Return what a reader needs first: answers that tell, then those that cannot.
+    """Return the answers in reading order: first those that show a difference.
 
     Each task is answered under the condition with most trials. Answers that show a difference of
     success come first, the largest difference before the others; then those of the motions, of tasks

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple, NoReturn, Protocol
 from minidual.errors import MinidualError
 
 _ENDS_S = 5.0
-"""Time in which a forge ends that nobody asks any more."""
+"""Time after which a forge without requests ends."""
 
 
 class BranchError(MinidualError):
@@ -47,10 +47,10 @@ class _Broken(NamedTuple):
 
 
 class Runs(Protocol):
-    """What a forge prepares and starts; made in the forge's process from a picklable function."""
+    """The work of a forge; made in the forge's process from a picklable function."""
 
     def prepare(self, request: Any) -> None:
-        """Make ready in the forge what this run and later ones share."""
+        """Prepare in the forge the parts that this run and later ones share."""
         ...
 
     def run(self, request: Any, branches: BranchPoint) -> str:
@@ -84,7 +84,7 @@ class BranchPoint:
                 self._pipe.send(_Broken(f"a copy ended with {code}"))
 
     def exchange(self, message: Any) -> Any:
-        """Send a message, and return the answer; end the copy if nobody is there."""
+        """Send a message, and return the answer; end the copy if the client is gone."""
         self.tell(message)
         try:
             return self._pipe.recv()
@@ -92,7 +92,7 @@ class BranchPoint:
             os._exit(0)
 
     def tell(self, message: Any) -> None:
-        """Send a message; end the copy if nobody is there."""
+        """Send a message; end the copy if the client is gone."""
         try:
             self._pipe.send(message)
         except BrokenPipeError:
@@ -105,7 +105,7 @@ class BranchPoint:
 
 
 class Trunk:
-    """A run, as those see it who ask for copies."""
+    """A run, as its clients see it."""
 
     def __init__(self, pipe: Connection) -> None:
         self.pipe = pipe
@@ -156,7 +156,7 @@ class Trunk:
         return message
 
     def close(self) -> None:
-        """Let the run and its copy end."""
+        """End the run and its copy."""
         self.pipe.close()
 
 
@@ -223,7 +223,7 @@ class Trunks:
         return self._forge.start(request)
 
     def keep(self, request: Any, trunk: Trunk) -> None:
-        """Take a trunk back whose latest copy has ended, or which never came to its branch point."""
+        """Take back a trunk whose latest copy has ended, or which did not reach its branch point."""
         self._kept[request] = trunk
 
 
@@ -242,7 +242,7 @@ def _end(pipe: Connection, process: Any) -> None:
 
 
 def _forge(pipe: Connection, make: Callable[..., Runs], args: tuple[Any, ...]) -> None:
-    """Start runs until nobody asks any more."""
+    """Start runs until no more are requested."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever asks ends it
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # no zombies
     runs = make(*args)

@@ -8,12 +8,12 @@ from minidual.errors import UsageError
 from minidual.trials.methods import ACT, METHODS
 
 NAMED = ACT._replace(summary="policy from elsewhere, from cameras and joints")
-"""Of a method whose name a policy was given: `--policy NAME=PATH`."""
+"""Of a method that a policy was named for: `--policy NAME=PATH`."""
 _POLICY_NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 
 def name_policies(methods: Iterable[str], policies: Collection[str]) -> None:
-    """Make a method of each policy whose name is among the methods, and not in their table.
+    """Make a method of each policy whose name is among the compared methods, but not in their table.
 
     Raises:
         UsageError: A name is no word, or a policy has the name of none of the methods.

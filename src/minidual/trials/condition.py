@@ -1,4 +1,4 @@
-"""A condition of a trial: what it changes, and to which methods it applies."""
+"""A condition of a trial: its changes, and the methods to which it applies."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def _arrays_of(model: mujoco.MjModel) -> list[np.ndarray]:
 
 
 def _derive(model: mujoco.MjModel) -> None:
-    """Let MuJoCo compute the constants that follow from others."""
+    """Update the derived constants of a MuJoCo model."""
     import mujoco
 
     mujoco.mj_setConst(model, mujoco.MjData(model))

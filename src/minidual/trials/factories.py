@@ -51,7 +51,7 @@ def _object_in(side: str, task: Task) -> ObjectConfig:
 
 
 def impedance(inputs: MethodInputs) -> Factory:
-    """Impedance of the object in both hands, else of what one hand holds."""
+    """Impedance of the object in both hands, else of the object in one hand."""
     if not make_task(inputs.config).together:
         return planned(inputs, CompliantCarry)
     config = inputs.config

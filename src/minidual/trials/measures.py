@@ -1,4 +1,4 @@
-"""Time series of a trial, and what is measured on them beside the indicators of success."""
+"""Time series of a trial, and their measures beside the indicators of success."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def jerk(log: TrialLog, cutoff_hz: float) -> float:
 
 
 def measure(log: TrialLog, mass_kg: float, wanted_n: float) -> dict[str, float]:
-    """Return the measures of the motion (MEASURES); NaN for what did not happen.
+    """Return the measures of the motion (MEASURES); NaN for events that did not happen.
 
     mass_kg is that of the object, wanted_n the internal force that the method controls, or NaN.
     """

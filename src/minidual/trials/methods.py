@@ -33,7 +33,7 @@ SENSES: dict[str, str] = {
     "feedback": "pose or contact force during the motion",
     "picture": "picture",
 }
-"""What a method may read of the object, with its name in messages."""
+"""Readings of the object that a method may use, with their name in messages."""
 
 
 class Method(Protocol):
@@ -70,7 +70,7 @@ class TrainedPolicy(NamedTuple):
 
 
 class MethodInputs(NamedTuple):
-    """What a method is built from.
+    """Inputs of a method.
 
     Attributes:
         checkpoint: Its policy, if it has one.
@@ -106,7 +106,7 @@ class MethodInputs(NamedTuple):
 
     @property
     def sensed(self) -> Senses:
-        """What senses objects and takes pictures.
+        """Sensors of objects, and cameras.
 
         Raises:
             UsageError: Nothing does.
@@ -127,7 +127,7 @@ class MethodInputs(NamedTuple):
 
 
 type Build = Callable[[MethodInputs], Factory]
-"""Builds what the trials of one process share, and returns the factory of trials."""
+"""Builds the shared state of one process's trials, and returns the factory of trials."""
 type Title = Callable[[str], str]
 type Cannot = Callable[[Task, str], str]
 """(task, trained) -> why a method cannot do a task, or ""."""
@@ -310,7 +310,7 @@ METHODS: Registry[MethodSpec] = Registry(
 
 
 def shown_as(method: str, task: str) -> str:
-    """Return a method's name, with what drives on a task where its policy does only a part of it."""
+    """Return a method's name, with the driver of the rest where its policy does only a part of a task."""
     title = METHODS[method].title(task) if method in METHODS else ""
     return f"{method} ({title})" if title else method
 

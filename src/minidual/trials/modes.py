@@ -89,7 +89,7 @@ class Switch:
 
 @dataclass(frozen=True)
 class _Setpoints:
-    """What the stack commands at one step, (n,) each."""
+    """Commands of the stack at one step, (n,) each."""
 
     target: Array
     reference: Array

@@ -36,7 +36,7 @@ type Steps = Generator[None, None, dict[str, object]]
 
 
 class KnownObject(NamedTuple):
-    """What planner and leader know of the object.
+    """Pose of the object, for planner and leader.
 
     Attributes:
         scene: In which it stands.
@@ -68,7 +68,7 @@ def while_held[T](
     sequence: Iterator[int],
     work: Callable[[], T],
 ) -> Generator[None, None, T]:
-    """Do what takes a while.
+    """Do long work while the arms are held.
 
     Where time runs on meanwhile, a thread does it, and the source that drives holds the arms.
     """
@@ -156,7 +156,7 @@ def _above_the_object(known_object: KnownObject, robot: Robot) -> dict[str, Arra
 
 
 class _LeaderMotion(NamedTuple):
-    """What the scripted leader proposes at each tick: q (k, n) [rad] and opening (k, 2)."""
+    """Proposals of the scripted leader at each tick: q (k, n) [rad] and opening (k, 2)."""
 
     q: Array
     opening: Array

@@ -1,4 +1,4 @@
-"""The method `rl`: its trainer, and its trials. What differs by task is a lesson's."""
+"""The method `rl`: its trainer, and its trials. A lesson holds what differs by task."""
 
 from minidual.config.root import Config, preset
 from minidual.errors import EnvironmentMissingError, UsageError
@@ -17,7 +17,7 @@ class RlTrainer:
     """Trains policies by reinforcement."""
 
     def check(self, config: Config) -> None:
-        """Raise UsageError or EnvironmentMissingError for what cannot be trained."""
+        """Raise UsageError or EnvironmentMissingError for a task that cannot be trained."""
         LESSONS[config.task]
         try:
             import stable_baselines3  # noqa: F401

@@ -1,4 +1,4 @@
-"""What each condition costs a method, and the least success rate under it."""
+"""Loss of success of a method under each condition, and the least success rate."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -59,7 +59,7 @@ def robustness(
     trials: Sequence[TrialMetrics],
     rate_min: float,
 ) -> list[Robustness]:
-    """Return what each condition costs a method; undisturbed, its rate must reach `rate_min`."""
+    """Return the loss of a method under each condition; undisturbed, its rate must reach `rate_min`."""
     rates = {
         cell.condition: cell.summary["success_rate"] for cell in cells if cell.summary is not None
     }

@@ -160,7 +160,7 @@ class Bench:
 
 
 class _TrialRun:
-    """One trial while it runs: what is judged, logged and measured of it."""
+    """One trial while it runs: its judge, log and measures."""
 
     def __init__(
         self,
@@ -213,7 +213,7 @@ class _TrialRun:
                 return
 
     def _disturb(self) -> None:
-        """Let the disturbance act, and tell the judge when it has."""
+        """Apply the disturbance, and tell the judge when it has acted."""
         disturbance = self._disturbance
         if disturbance is None:
             return
@@ -339,7 +339,7 @@ class _CompleteState:
 
 
 _BENCHES: dict[str, Bench] = {}
-"""The latest bench of this process, by what it is made of."""
+"""The latest bench of this process, by its inputs."""
 
 
 def _bench(method: str, inputs: MethodInputs, condition: str) -> Bench:

@@ -38,7 +38,7 @@ class Site(Protocol):
         ...
 
     def start(self, judge: Judge) -> None:
-        """Let the trial's time begin: its method is ready."""
+        """Start the trial's time: its method is ready."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""Trainers of learned methods: what one gets, and what it returns."""
+"""Trainers of learned methods: their inputs and results."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ type Advance = Callable[[int, str], None]
 
 
 class TrainingJob(NamedTuple):
-    """What to train.
+    """Inputs of a training.
 
     Attributes:
         config: With the task.
@@ -29,7 +29,7 @@ class TrainingJob(NamedTuple):
 
 
 class TrainingSummary(NamedTuple):
-    """What a training did.
+    """Result of a training.
 
     Attributes:
         steps: Done.
@@ -50,7 +50,7 @@ class Trainer(Protocol):
     """Trains the policy of a method."""
 
     def check(self, config: Config) -> None:
-        """Raise UsageError or EnvironmentMissingError for what cannot be trained."""
+        """Raise UsageError or EnvironmentMissingError for a method that cannot be trained."""
         ...
 
     def steps(self, config: Config) -> int:

@@ -47,7 +47,7 @@ _WORST: dict[str, Callable[[Sequence[float]], Any]] = {
     "tilt_max_rad": np.max,
     "internal_force_min_n": np.min,
 }
-"""What the worst of several carries is."""
+"""The worst of several carries."""
 
 
 class TuningError(MinidualError):

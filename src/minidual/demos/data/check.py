@@ -58,7 +58,7 @@ def check_data(source: DataSource) -> list[Finding]:
 
 
 def check_numbers(episode: DataEpisode) -> Iterator[EpisodeFault]:
-    """Report faults of states and actions whose units are not known."""
+    """Report faults of states and actions of unknown units."""
     if len(episode) < TICKS_MIN:
         detail = f"{len(episode)} ticks; an episode has at least {TICKS_MIN}"
         yield EpisodeFault("too_short", detail)

@@ -160,6 +160,6 @@ def _write_sources(root: Path, records: Sequence[Mapping[str, Any]]) -> None:
 
 @contextlib.contextmanager
 def _silent() -> Generator[None]:
-    """Keep LeRobot's bars from stderr; what goes wrong is raised."""
+    """Keep LeRobot's progress bars from stderr; errors are raised."""
     with contextlib.redirect_stderr(io.StringIO()):
         yield

@@ -21,7 +21,7 @@ DATASET = "lerobot"
 
 
 class Format(NamedTuple):
-    """What the episodes of one dataset have in common."""
+    """The format that all episodes of a dataset share."""
 
     rate_hz: float
     state: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""What demonstrations of any origin have in common."""
+"""One interface to demonstrations of any origin."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping

@@ -1,4 +1,4 @@
-"""What demonstrations of any origin hold, in numbers."""
+"""Statistics of demonstrations of any origin."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import GRIPPERS_N, Array
 
 _STARTS = "start_x_y_yaw"
-"""Fact of an episode: place [m] and turn [rad] of what is carried, at the start."""
+"""Fact of an episode: place [m] and yaw [rad] of the carried object, at the start."""
 
 
 class EntryStats(NamedTuple):

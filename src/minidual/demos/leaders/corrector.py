@@ -35,7 +35,7 @@ _LONGEST = 2.5
 
 
 class _Way(Enum):
-    """What the corrector does."""
+    """Phases of the corrector."""
 
     WATCH = auto()
     REJOIN = auto()
@@ -64,7 +64,7 @@ class ScriptedCorrector(Leader):
 
     @classmethod
     def connect(cls, setup: LeaderSetup) -> Self:
-        """Return a corrector who plans when a trial begins."""
+        """Return a corrector that plans when a trial begins."""
         return cls(setup)
 
     def align(self, trial: Trial, q_follower: Array) -> None:
@@ -86,7 +86,7 @@ class ScriptedCorrector(Leader):
         self.corrections_n = 0
 
     def feedback(self, feedback: Feedback) -> None:
-        """Take what the arms measured."""
+        """Take the measurements of the arms."""
         self._q = feedback.q
         self._openings = feedback.openings
 

@@ -87,7 +87,7 @@ class DynamixelBus:
 
 
 class BusReader:
-    """Reads a bus all the time in a thread of its own, so that nobody waits for it."""
+    """Reads a bus all the time in a thread of its own, so that callers do not wait for it."""
 
     def __init__(self, bus: DynamixelBus) -> None:
         self._bus = bus

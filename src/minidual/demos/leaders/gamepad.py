@@ -86,7 +86,7 @@ class GamepadLeader(Leader):
         return [T.copy() for T in self._kinematics.tcp_poses(q)]
 
     def align(self, trial: Trial, q_follower: Array) -> None:
-        """Begin where the arms are; what was pressed before counts no more."""
+        """Begin where the arms are; forget earlier presses."""
         self._device.read()
         self._hands = self._poses(q_follower)
         self._Ts = self._poses(q_follower)

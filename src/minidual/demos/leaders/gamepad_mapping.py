@@ -1,4 +1,4 @@
-"""What the sticks, triggers and buttons of a gamepad do: a table that people edit."""
+"""Functions of the sticks, triggers and buttons of a gamepad: a table that people edit."""
 
 from pathlib import Path
 from typing import Literal
@@ -19,7 +19,7 @@ ACTIONS = (*Button, CLUTCH, STOP, *SHIFTS)
 
 
 class AxisRow(StrictModel):
-    """What a stick or trigger does; see gamepad.yaml."""
+    """Function of a stick or trigger; see gamepad.yaml."""
 
     hand: Literal["left", "right"]
     moves: Motion
@@ -29,7 +29,7 @@ class AxisRow(StrictModel):
 
 
 class GamepadMapping(StrictModel):
-    """Names of evdev, such as ABS_X and BTN_SOUTH, and what they do."""
+    """Names of evdev, such as ABS_X and BTN_SOUTH, with their functions."""
 
     axes: dict[str, AxisRow] = Field(min_length=1)
     buttons: dict[str, str] = Field(default={})

@@ -86,7 +86,7 @@ class GelloFile(StrictModel):
 
 
 def read_gello_file(path: Path, robot: Robot) -> GelloFile:
-    """Return what a file says of arms for a robot.
+    """Return the arms of a file, for a robot.
 
     Raises:
         ConfigError: It cannot be read, or does not fit.

@@ -117,7 +117,7 @@ class KeyboardLeader(Leader):
 
     @property
     def hint(self) -> str:
-        """What the keys move, and what stands in their way."""
+        """The motion of the keys, and what limits it."""
         name, hands = _SELECTIONS[self._selected]
         if self._joint is not None:
             sides = " and ".join(self._robot.sides[hand] for hand in hands)

@@ -22,7 +22,7 @@ _REMEMBERED_N = 1000
 
 
 class Order:
-    """Lets through what is newer than all before it, and counts the rest.
+    """Passes packets that are newer than all before them, and counts the others.
 
     Attributes:
         counts: {reason: messages dropped}.

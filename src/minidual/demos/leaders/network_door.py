@@ -92,7 +92,7 @@ def cannot_listen(
     protocol: str,
     error: OSError,
 ) -> EnvironmentMissingError:
-    """Return the error of a port at which nobody can listen."""
+    """Return the error of a port that cannot be listened on."""
     reason = error.strerror or str(error)
     return EnvironmentMissingError(
         f"the network leader cannot listen at {config.host}, {protocol} port {config.port}: "

@@ -35,7 +35,7 @@ class HandPose(StrictModel):
 
 
 class TargetMessage(StrictModel):
-    """What a program sends. With neither joints nor hands it asks for the state only.
+    """A message of a program. Without joints and hands it asks for the state only.
 
     Attributes:
         version: Of the message.

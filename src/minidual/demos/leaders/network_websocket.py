@@ -70,7 +70,7 @@ class WebSocketDoor(Door):
         )
 
     async def _receive(self, connection: ServerConnection) -> None:
-        """Keep what a program sends until the leader reads it."""
+        """Keep the messages of a program until the leader reads them."""
         answers: deque[str] = deque(maxlen=_ANSWERS_N)
         is_answered = asyncio.Event()
         answer = self._answering(answers, is_answered)

@@ -37,7 +37,7 @@ class ReplayLeader(PlayingLeader):
 
     @classmethod
     def connect(cls, setup: LeaderSetup) -> Self:
-        """Open what was recorded.
+        """Open a recording.
 
         Raises:
             UsageError: There is nothing.

@@ -25,7 +25,7 @@ class ScriptedLeader(PlayingLeader):
 
     @classmethod
     def connect(cls, setup: LeaderSetup) -> Self:
-        """Return an operator who plans when a trial begins."""
+        """Return an operator that plans when a trial begins."""
         leader = cls()
         leader._setup = setup
         return leader

@@ -1,4 +1,4 @@
-"""What a link carries of leaders with joints, and of leaders with hand poses."""
+"""Forces that a link carries: of leaders with joints, and of leaders with hand poses."""
 
 from dataclasses import replace
 from typing import Protocol
@@ -42,7 +42,7 @@ class Forces(Protocol):
         ...
 
     def towards_reference(self, feedback: Feedback) -> Array:
-        """Return the force (1, G, n) with which the arms push what they meet."""
+        """Return the contact force (1, G, n) of the arms on their surroundings."""
         ...
 
     def torques(self, forces: Array, q: Array) -> Array:
@@ -51,7 +51,7 @@ class Forces(Protocol):
 
 
 def _beyond(force: Array, least: Array | float) -> Array:
-    """Return forces (..., n) less what may be noise of their estimate."""
+    """Return forces (..., n) without the part that may be noise of their estimate."""
     size = np.sqrt(power(force, force))
     share = np.maximum(size - least, 0.0) / np.maximum(size, 1e-12)
     return share[..., None] * force

@@ -23,7 +23,7 @@ from minidual.tasks.task import Trial
 
 @dataclass(frozen=True)
 class LinkTick:
-    """What a link did in a tick; arrays have a value a group (G,).
+    """Log of a link in a tick; arrays have a value a group (G,).
 
     Attributes:
         leader_j, arms_j: Observed energies of the ports.
@@ -76,7 +76,7 @@ class LinkedLeader(Leader):
 
     @property
     def hint(self) -> str:
-        """What the leader shows, and that the link holds back."""
+        """The leader's hint, and whether the link holds back."""
         shown = [self.leader.hint] if self.leader.hint else []
         if self.ticks and self.ticks[-1].arms_act.any():
             shown.append("the late link holds the arms back")
@@ -114,7 +114,7 @@ class LinkedLeader(Leader):
         return self.leader.facts
 
     def read(self, now_s: float) -> LeaderSample | None:
-        """Return what has arrived of the leader; None while it gives no reading."""
+        """Return the leader's reading that has arrived; None while it gives none."""
         sample = self.leader.read(now_s)
         if sample is None:
             return None
@@ -133,7 +133,7 @@ class LinkedLeader(Leader):
         return self._forces.sample_at(self._link.reference, sample)
 
     def feedback(self, feedback: Feedback) -> None:
-        """Keep the arms' force for the link; render what has come back over it."""
+        """Keep the arms' force for the link; render the force that has come back over it."""
         self._waits = False
         if self._latest is not None:
             self.ticks.append(self._latest)
@@ -167,13 +167,13 @@ class LinkedLeader(Leader):
         self._force = np.zeros_like(self._link.drift)
         self._against = np.zeros_like(self._link.drift)
         self._place = place
-        """Where the leader was, with what it moved while its clutch was held."""
+        """The leader's position, with its motion while the clutch was held."""
         self._sent = place
         """The same without."""
         self._coming: deque[tuple[int, Button]] = deque()
         self._k = 0
         self._waits = True
-        """Whether time has stood still since the last reading: the arms have told nothing."""
+        """Whether time has stood still since the last reading: no measurement of the arms has come."""
         self._latest: LinkTick | None = None
         self.ticks = []
 

@@ -1,4 +1,4 @@
-"""The two ports of a link: what flows through each, and what keeps each passive.
+"""The two ports of a link: their energy flows, and the controllers that keep them passive.
 
 Sources: Hannaford and Ryu, "Time-domain passivity control of haptic interfaces" (2002); the
 two-port form of Ryu, Artigas and Preusche (2010); drift as in arXiv 1909.01603. Arrays are
@@ -16,7 +16,7 @@ _TINY = 1e-12
 
 @dataclass(frozen=True)
 class Bounds:
-    """What the controllers of a link know of both ends, and bounds of what they add.
+    """Properties of both ends of a link, and bounds of the controllers' corrections.
 
     Units are those of a group: N and m, or Nm and rad.
 
@@ -74,7 +74,7 @@ class PortEnergy:
         self.received = np.zeros(shape)
 
     def flow(self, work: Array, corrected: Array) -> None:
-        """Count what a step did on the link (..., G): out of it if negative.
+        """Count the energy that a step put into the link (..., G); negative: took out.
 
         Args:
             work: By what the other port asked for.
@@ -89,17 +89,17 @@ class PortEnergy:
         self.out += np.maximum(-net, 0.0)
 
     def receive(self, energy: Array) -> None:
-        """Take what the other port tells to have taken in; packets may come in any order."""
+        """Take the energy that the other port reports to have taken in; packets may come in any order."""
         self.received = np.maximum(self.received, energy)
 
     @property
     def observed(self) -> Array:
-        """What may still flow out here; below zero the link has made energy."""
+        """Energy that may still flow out here; below zero the link has generated energy."""
         return self.received - self.out + self.dissipated
 
 
 class Port:
-    """What both ports have: an energy, and a controller that keeps the port passive.
+    """Base of both ports: an energy, and a controller that keeps the port passive.
 
     Args:
         shape: (..., G, n).

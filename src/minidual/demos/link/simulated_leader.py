@@ -1,4 +1,4 @@
-"""A leader arm with motors, simulated, in the hand of a person who gives way."""
+"""A simulated leader arm with motors, in the compliant hand of a person."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar, Self

@@ -1,4 +1,4 @@
-"""What a link carries: joints or numbers, or poses of hands."""
+"""Spaces of a link: joints or numbers, or poses of hands."""
 
 from typing import Protocol
 

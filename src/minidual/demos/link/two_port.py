@@ -105,7 +105,7 @@ class Link:
 
     @property
     def drift(self) -> Array:
-        """What the reference (B, G, n) lacks of where the leader was seen."""
+        """Difference (B, G, n) from the reference to the leader as it was last received."""
         return self._space.between(self.reference, self._seen)
 
     def _leader_side(self, leader: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What to plan for a held object, and its scene."""
+"""A query for a held object, and its scene."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -12,7 +12,7 @@ from minidual.robot.pair import SIDES, Array, inverse
 
 
 class HeldQuery(NamedTuple):
-    """What to plan for a held object.
+    """A query for a held object.
 
     Attributes:
         q_start: All joints (n,), hands at their grasps.

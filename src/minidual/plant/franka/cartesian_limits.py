@@ -1,4 +1,4 @@
-"""What a controller refuses of poses and twists of a hand; see limits.py."""
+"""Limits of commanded poses and twists of a hand; see limits.py."""
 
 import numpy as np
 

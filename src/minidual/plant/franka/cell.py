@@ -136,7 +136,7 @@ class EmulatedCell:
         return pose(data.xmat[body].reshape(3, 3), position)
 
     def _constant_state(self) -> Record:
-        """Return a state with what never changes."""
+        """Return a state with its constant fields."""
         state = np.zeros((), ARM_STATE)
         identity = np.eye(4).ravel()
         state["F_T_EE"] = self._T_flange_tcp.T.ravel()

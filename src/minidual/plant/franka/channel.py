@@ -103,7 +103,7 @@ class Channel:
             self.drop()
 
     def drop(self) -> None:
-        """Let go of the client."""
+        """Close the connection to the client."""
         for each in (self._client, self.udp):
             if each is not None:
                 each.close()

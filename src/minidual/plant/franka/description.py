@@ -13,7 +13,7 @@ from minidual.robot.pair import Array
 _SHAPES = ("visual", "collision")
 _LAST_LINK = "link8"
 EMULATED = "emulated_arm"
-"""Name of the described robot: a client tells the emulator from hardware by it."""
+"""Name of the described robot; by it a client distinguishes the emulator from hardware."""
 
 
 @cache

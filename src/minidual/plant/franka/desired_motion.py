@@ -1,4 +1,4 @@
-"""The desired motion of one emulated arm: what a motion's commands give, and how it brakes."""
+"""The desired motion of one emulated arm: it follows a motion's commands, or brakes."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ _CARTESIAN = (Generator.CARTESIAN_POSITION, Generator.CARTESIAN_VELOCITY)
 
 @dataclass(frozen=True)
 class ArmSample:
-    """What commands are checked against: the arm as it was last measured.
+    """The last measurement of the arm, against which commands are checked.
 
     Attributes:
         q, v: (7,) [rad], [rad/s].
@@ -76,7 +76,7 @@ class DesiredMotion:
 
     @property
     def generator_code(self) -> int:
-        """What the state says of the generator."""
+        """Code of the generator in the state."""
         return IDLE_GENERATOR if self.generator is None else int(self.generator) + 1
 
     def start(self, controller: Controller, generator: Generator, T_base_hand: Array) -> None:
@@ -150,7 +150,7 @@ class DesiredMotion:
         return self._joint.target(self._joint.q)
 
     def end(self, sample: ArmSample) -> None:
-        """End the motion; what it leaves of velocity is for `brake`."""
+        """End the motion; `brake` brings the rest of its velocity to zero."""
         if self.by_torque:
             self.q = sample.q.copy()
             self.v = sample.v.copy()

@@ -12,7 +12,7 @@ _MOVE_FORCE_N = 70.0
 
 
 class HandWork(StrEnum):
-    """What a hand does."""
+    """Activities of a hand."""
 
     IDLE = "idle"
     MOVING = "moving"

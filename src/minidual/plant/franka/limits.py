@@ -1,4 +1,4 @@
-"""What a controller refuses: limits of commanded motions, torques and collisions, by the vendor's names.
+"""Limits of commanded motions, torques and collisions, with errors by the vendor's names.
 
 Nothing here knows a network or a simulator. The derivatives are those of the commands, at 1 kHz.
 Source of the numbers: the arm model, and the Franka Control Interface documentation: "Limits for
@@ -204,7 +204,7 @@ class Thresholds:
 
     @classmethod
     def default(cls) -> "Thresholds":
-        """Return the thresholds of a controller that was told none."""
+        """Return the default thresholds of a controller."""
         return cls(
             np.full(JOINTS_N, 20.0), np.full(JOINTS_N, 20.0), np.full(6, 20.0), np.full(6, 20.0)
         )
@@ -226,7 +226,7 @@ class Thresholds:
 
 @dataclass(frozen=True)
 class MeasuredState:
-    """What an arm measures, as far as the controller checks it.
+    """Measurements of an arm that the controller checks.
 
     Attributes:
         q, v, tau: (7,) [rad], [rad/s], [Nm].
@@ -246,7 +246,7 @@ def measured_errors(
     limits: FciLimits,
     walls: Sequence[tuple[float, float]] = (),
 ) -> list[str]:
-    """Return the errors of what is measured.
+    """Return the errors of a measurement.
 
     Args:
         state: Of the arm.

@@ -214,7 +214,7 @@ class ArmLink:
             self._note(error)
 
     def recover(self) -> None:
-        """Clear what the controller can clear."""
+        """Clear the errors that the controller can clear."""
         with suppress(Exception):  # the exception of the motion that ended; `read` has noted it
             self._robot.join_motion(1.0)
         fault = self.fault

@@ -229,7 +229,7 @@ class FrankaPlant:
             self._twin.refresh()
 
     def catch_up(self) -> None:
-        """Read the newest states: the controllers' time goes on while nobody steps."""
+        """Read the newest states: the controllers' time runs on between steps."""
         for arm in self._arms:
             arm.read()
         self.time = max(self.time, self.stamp_s)
@@ -239,13 +239,13 @@ class FrankaPlant:
     # Ends --------------------------------------------------------------------------------------
 
     def recover(self) -> None:
-        """Clear what the controllers can clear; see `healths` for the rest."""
+        """Clear the errors that the controllers can clear; `healths` has the rest."""
         for arm in self._arms:
             arm.recover()
         self.catch_up()
 
     def close(self) -> None:
-        """Stop both arms, and let go of the hands."""
+        """Stop both arms, and release the hands' connections."""
         for arm in self._arms:
             arm.close()
         for hand in self._hands:

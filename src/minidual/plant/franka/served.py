@@ -1,4 +1,4 @@
-"""What the emulator does with requests: one arm's and one hand's, each behind its channel."""
+"""Answers of the emulator to requests to an arm and to a hand, each over its channel."""
 
 from contextlib import suppress
 

@@ -111,7 +111,7 @@ class EmulatorServer:
             missing = [arm for arm in missing if not arm.receive()]
 
     def _wait(self) -> None:
-        """Sleep until the next millisecond is due; what is far behind is not caught up."""
+        """Sleep until the next millisecond is due; a long delay is not caught up."""
         self._due_s += _PERIOD_S
         ahead_s = self._due_s - time.perf_counter()
         if ahead_s > 0.0:
@@ -130,7 +130,7 @@ class EmulatorServer:
             self.close()
 
     def close(self) -> None:
-        """Let go of all clients and ports."""
+        """Close all clients and ports."""
         for served in (*self.arms, *self.hands):
             served.channel.close()
         if self._twin is not None:

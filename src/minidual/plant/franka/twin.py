@@ -86,7 +86,7 @@ class EmulatorTwin:
         self.refresh()
 
     def close(self) -> None:
-        """Let go of the emulator's port."""
+        """Close the connection to the emulator."""
         self._socket.close()
 
     def _ask(self, kind: Kind, body: bytes = b"") -> Message:

@@ -14,7 +14,7 @@ _BODY_MAX = 1 << 20
 
 
 class Kind(IntEnum):
-    """What a message is.
+    """Kinds of message.
 
     SCENE asks for the scene, and answers with it. STATE asks for the state of the world. PLACE puts
     objects down. REFUSED answers a request that is not carried out, with the reason.

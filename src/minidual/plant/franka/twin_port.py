@@ -55,7 +55,7 @@ class TwinPort:
         self._ticks = 0
 
     def serve(self) -> None:
-        """Answer what the client has asked; to be called after each step of the world."""
+        """Answer the client's requests; to be called after each step of the world."""
         if self._client is None:
             self._ticks = (self._ticks + 1) % _ACCEPT_EVERY
             if self._ticks == 0:
@@ -130,7 +130,7 @@ class TwinPort:
             self.drop()
 
     def drop(self) -> None:
-        """Let go of the client."""
+        """Close the connection to the client."""
         if self._client is not None:
             self._client.close()
         self._client = None

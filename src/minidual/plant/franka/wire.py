@@ -133,11 +133,11 @@ class Generator(IntEnum):
 
 
 IDLE_GENERATOR = 0
-"""What a state says where nothing moves the target; otherwise one more than `Generator`."""
+"""Generator code of a state without a motion; otherwise the code is `Generator` plus one."""
 
 
 class RobotMode(IntEnum):
-    """What an arm does."""
+    """Modes of an arm."""
 
     OTHER = 0
     IDLE = 1
@@ -184,7 +184,7 @@ MOVE = np.dtype(
         ("goal_deviation", _DEVIATION),
     ],
 )
-"""What follows it in later clients (variable rate, velocities) is not read."""
+"""Fields that follow it in later clients (variable rate, velocities) are not read."""
 COLLISION_BEHAVIOR = np.dtype(
     [
         ("lower_torque_acceleration", "<f8", (JOINTS_N,)),  # [Nm], contacts while accelerating

@@ -9,7 +9,7 @@ from gymnasium.vector.utils import batch_space
 
 
 class Beside(VectorEnv[Any, Any, Any]):
-    """One batch out of several with the same spaces; `infos` hold what all of them tell.
+    """One batch out of several with the same spaces; `infos` hold the keys of all.
 
     Args:
         parts: Batches; their autoreset mode is SAME_STEP.

@@ -133,7 +133,7 @@ class ClonedPpo(PPO):
         ]
 
     def network(self, description: Description, normalisation: Normalisation) -> RlNetwork:
-        """Return what the method drives: the mean of the policy."""
+        """Return the action that the method drives: the mean of the policy."""
         linear = [
             module
             for module in (*self.policy.mlp_extractor.policy_net, self.policy.action_net)

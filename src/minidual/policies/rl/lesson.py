@@ -1,4 +1,4 @@
-"""What can be learned by reinforcement: worlds to try in, and perhaps demonstrations to begin from.
+"""A task to learn by reinforcement: worlds to try in, and optional demonstrations to begin from.
 
 Other distributions add lessons for tasks of their own through the entry point group
 `minidual.lessons` (docs/howto-rl.md). This module imports no learning library: the table of methods
@@ -58,7 +58,7 @@ class Lesson(Protocol):
     """
 
     def describe(self, config: Config) -> Description:
-        """Return what the policy reads and gives."""
+        """Return the inputs and outputs of the policy."""
         ...
 
     def worlds(self, config: Config, wanted: WorldsWanted) -> VectorEnv[Any, Any, Any]:
@@ -69,7 +69,7 @@ class Lesson(Protocol):
         ...
 
     def demonstrations(self, config: Config, count: int, seed: int) -> Demonstrated | None:
-        """Return successful demonstrations, or None if there is nobody who shows them."""
+        """Return successful demonstrations, or None if the lesson has no demonstrator."""
         ...
 
     def driver(self, inputs: Any, network: RlNetwork) -> Callable[..., Any]:

@@ -27,7 +27,7 @@ type Array32 = npt.NDArray[np.float32]
 
 
 class Description(NamedTuple):
-    """What a network was trained for.
+    """Task, inputs and outputs of a network.
 
     Attributes:
         task: Row of TASKS.

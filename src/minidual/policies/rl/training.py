@@ -38,7 +38,7 @@ type Advance = Callable[[int, str], None]
 
 
 class RlJob(NamedTuple):
-    """What to train.
+    """Inputs of a training.
 
     Attributes:
         config: With the task.
@@ -262,7 +262,7 @@ class _Course(BaseCallback):
         return True
 
     def _on_rollout_start(self) -> None:
-        """Look at what the latest update has made of the policy."""
+        """Evaluate the policy after the latest update."""
         training = self._training
         updates = training.model.updates
         if self._rollouts > 0 and updates % training.job.settings.validate_every_updates == 0:
@@ -321,7 +321,7 @@ def _tensors(network: RlNetwork) -> list[torch.Tensor]:
 
 
 def _fingerprint(job: RlJob) -> str:
-    """Return a hash of what determines the training."""
+    """Return a hash of everything that determines the training."""
     settings = job.config.model_dump(mode="json")
     relevant = {key: settings[key] for key in ("task", "scene", "robot", "arbiter", "supervisor")}
     ingredients = [

@@ -39,7 +39,7 @@ _DRAW = "keyframe_draw"
 
 
 class ModelOutput(NamedTuple):
-    """What the model predicts.
+    """Prediction of the model.
 
     Attributes:
         actions: Chunk (B, S, A).

@@ -36,7 +36,7 @@ Show = Callable[[Array], None]
 
 @dataclass
 class BridgeCounts:
-    """What a bridge did.
+    """Counts of a bridge.
 
     Attributes:
         ticks_n: Joint states published.
@@ -165,7 +165,7 @@ class Bridge:
 
 
 def come_to_rest(stack: ControlStack[Plant]) -> None:
-    """Let nobody drive, and step until the arms are still."""
+    """Give the arms to no source, and step until they are still."""
     stack.request("hold")
     while stack.stopping or stack.arbiter.switching:
         with contextlib.suppress(ReflexError):

@@ -25,14 +25,14 @@ _END_S = 5.0
 
 
 class _State(NamedTuple):
-    """What is drawn: MuJoCo's positions, and when they were measured (seconds, nanoseconds)."""
+    """A state to draw: MuJoCo's positions, and the time of their measurement (seconds, nanoseconds)."""
 
     qpos: Array
     stamp: tuple[int, int]
 
 
 class _Scene(NamedTuple):
-    """What the process needs to draw.
+    """Inputs of the drawing process.
 
     Attributes:
         scene: The world.

@@ -1,4 +1,4 @@
-"""What comes in: joint targets of the sources, and requests for a mode."""
+"""Incoming messages: joint targets of the sources, and requests for a mode."""
 
 import itertools
 import math
@@ -93,7 +93,7 @@ def target_of_joints(message: JointStateLike, robot: Robot, openings: Array) -> 
 
 
 class Inbox:
-    """Passes what came on the topics to the arbiter.
+    """Passes the messages of the topics to the arbiter.
 
     Attributes:
         complaints: Why messages were ignored or refused, since they were taken last.

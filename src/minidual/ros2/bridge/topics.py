@@ -10,7 +10,7 @@ from minidual.errors import EnvironmentMissingError, UsageError
 from minidual.robot.pair import Array
 
 _PREFIX = "rt"
-"""What rmw puts before a topic's name: `/joint_states` is `rt/joint_states` in DDS."""
+"""Prefix that rmw gives a topic's name: `/joint_states` is `rt/joint_states` in DDS."""
 _DEPTH = 10
 _DOMAIN_MAX = 232
 _NANOSECONDS = 1_000_000_000

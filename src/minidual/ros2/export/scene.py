@@ -45,7 +45,7 @@ def scene_xml(robot: Robot, config: Config, meshes: MeshFiles, checked: str) -> 
 
 
 def _name_meshes(root: ET.Element, meshes: MeshFiles) -> None:
-    """Let the meshes of the URDF be read from the package."""
+    """Point the meshes of the URDF to the package."""
     compiler = root.find("compiler")
     if compiler is None:
         compiler = ET.SubElement(root, "compiler")
@@ -71,7 +71,7 @@ def _replace_actuators(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def _couple_fingers(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Let the second finger follow the first, which alone has a servo."""
+    """Couple the second finger to the first, the only one with a servo."""
     for side in SIDES:
         leading, following = (f"{side}_{joint}" for joint in robot.hand.finger_joints)
         spec.delete(spec.actuator(f"{following}_servo"))

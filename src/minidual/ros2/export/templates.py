@@ -22,7 +22,7 @@ PACKAGE_CHECK = "names and dependencies against the files of the package"
 
 
 class Package(NamedTuple):
-    """What package.xml says.
+    """Fields of package.xml.
 
     Attributes:
         text: One sentence.

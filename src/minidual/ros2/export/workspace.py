@@ -49,7 +49,7 @@ class WrittenFile(NamedTuple):
 
 
 class Export(NamedTuple):
-    """What was written.
+    """The written workspace.
 
     Attributes:
         folder: The workspace.

@@ -30,7 +30,7 @@ _PAGES = jinja2.Environment(
 
 
 class ShownEpisode(NamedTuple):
-    """What the page shows of one episode.
+    """One episode on the page.
 
     Attributes:
         films: Data URI by camera.

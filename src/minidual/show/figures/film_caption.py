@@ -23,7 +23,7 @@ _DETAIL_LINES = 2
 
 
 class Caption(NamedTuple):
-    """What stands below a picture.
+    """Caption below a picture.
 
     Attributes:
         title: Left, large.

@@ -76,7 +76,7 @@ def _set_quality(spec: mujoco.MjSpec) -> None:
 
 
 def _set_lights(spec: mujoco.MjSpec) -> None:
-    """Let a warm light cast the shadows, and a cool one fill them."""
+    """Add a warm light that casts shadows, and a cool fill light."""
     headlight = spec.visual.headlight
     headlight.ambient = [0.33, 0.33, 0.34]
     headlight.diffuse = [0.16, 0.16, 0.16]
@@ -111,7 +111,7 @@ def _set_table(spec: mujoco.MjSpec) -> None:
 
 
 def _set_floor(spec: mujoco.MjSpec) -> None:
-    """Let an endless floor fade into the sky."""
+    """Add an endless floor that fades into the sky."""
     red, green, blue = _HORIZON_RGB
     spec.visual.rgba.haze = [red, green, blue, 1.0]
     sky = spec.texture("sky")

@@ -1,4 +1,4 @@
-"""What objects look like in films: rounded, and with what makes a bottle a bottle.
+"""The look of objects in films: rounded, and with details such as a bottle's neck and cap.
 
 The simulated geoms stay in the model, hidden: a look takes their colour and size from them.
 """
@@ -43,14 +43,14 @@ _RIM_THICKNESS_M = 0.006
 
 
 class Look(NamedTuple):
-    """Whose look a geom belongs to, and whether it has the object's own colour."""
+    """The look that a geom belongs to, and whether it has the object's own colour."""
 
     object: str
     takes_colour: bool
 
 
 def look_of(geom_name: str) -> Look | None:
-    """Return what the name of a geom says; None for a geom of no object's look."""
+    """Return the look that the name of a geom stands for; None for other geoms."""
     kind, _, rest = geom_name.removeprefix(PREFIX).partition("/")
     if not geom_name.startswith(PREFIX) or kind not in (_PAINT, _TRIM):
         return None

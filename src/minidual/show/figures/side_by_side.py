@@ -34,7 +34,7 @@ _LAST_S = 2.0
 
 
 class Moment(NamedTuple):
-    """What a film shows of one instant.
+    """One instant of a film.
 
     Attributes:
         qpos: (nq,).
@@ -54,7 +54,7 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True)
 class Take:
-    """One method's trial, as it is to be shown.
+    """One method's trial, with the frames to show.
 
     Attributes:
         title: Name of the method.
@@ -79,7 +79,7 @@ class Take:
         return (len(self.moments) - 1) / FPS
 
     def caption(self, time_s: float) -> Caption:
-        """Return what the bar says at a time: what goes on, and at the end the result."""
+        """Return the text of the bar at a time: the phase, and at the end the result."""
         moment = self.at(time_s)
         clock = f"{min(time_s, self.end_s):.2f} s"
         if time_s < self.end_s:
@@ -140,7 +140,7 @@ def take(
     fine: bool = False,
     site: Site | None = None,
 ) -> Take:
-    """Run a trial and keep what a film shows of it; `fine` shows the arms in full detail."""
+    """Run a trial and keep the instants of its film; `fine` shows the arms in full detail."""
     bench = Bench(method, inputs, condition, site=site)
     sampler = _Sampler()
     models: list[mujoco.MjModel] = []

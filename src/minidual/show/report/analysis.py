@@ -1,4 +1,4 @@
-"""What the verdicts show together: the policy on held-out starts, and the thinnest margins."""
+"""Results across verdicts: the policy on held-out starts, and the thinnest margins."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -62,7 +62,7 @@ def _decimals(number: float) -> int:
 
 @dataclass(frozen=True)
 class BenchTable:
-    """What one bench measured.
+    """Measurements of one bench.
 
     Attributes:
         title: One line.

@@ -19,7 +19,7 @@ _BRACKETS = re.compile(r"\([^()]*\)|（[^（）]*）")
 
 
 def headline_sentences(tasks: Mapping[str, Mapping[str, Any]], words: Words) -> list[str]:
-    """Return at most five sentences on what the benchmark shows; the last one on what it cannot tell.
+    """Return at most five sentences on the differences that the benchmark shows; the last is on open ones.
 
     Args:
         tasks: {task: its part of the benchmark's data}.
@@ -36,7 +36,7 @@ def headline_sentences(tasks: Mapping[str, Mapping[str, Any]], words: Words) -> 
 
 
 def sentence(answer: Answer, words: Words) -> str:
-    """Return what an answer shows, or how many trials would tell."""
+    """Return the difference that an answer shows, or how many trials would show one."""
     if not answer.tells:
         return _cannot_tell([answer], words)
     if answer.success_differs:

@@ -17,7 +17,7 @@ Pair = Mapping[str, Any]
 """A row of minidual.trials.benchmark with `p_holm`, and `shown`: whether it is significant."""
 
 Limit = Callable[[str, str], str]
-"""Returns what is promised for a method under a condition, as text; empty: nothing."""
+"""Returns the promised limit of a method under a condition, as text; "" for none."""
 
 
 @dataclass(frozen=True)

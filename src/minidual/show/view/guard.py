@@ -1,4 +1,4 @@
-"""Who may open the browser view, and what a page may send."""
+"""Access to the browser view, and checks of the messages of a page."""
 
 import ipaddress
 import logging

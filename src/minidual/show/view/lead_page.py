@@ -1,4 +1,4 @@
-"""What the browser view offers a person who leads: handles at the hands, buttons and a status."""
+"""The browser view of a person who leads: handles at the hands, buttons and a status."""
 
 import html
 import time
@@ -16,7 +16,7 @@ _STYLE = "padding:4px 12px;font-size:13px"
 _SHOW_PERIOD_S = 0.15
 _HANDLE_SCALE = 0.14
 _STILL = 1e-5
-"""Change of a pose [m, or of its matrix] that nobody has dragged."""
+"""Change of a pose [m, or of its matrix] that is rounding, not dragging."""
 _LABELS = {
     Button.START: ("Start", "green"),
     Button.SUCCESS: ("Success", "teal"),
@@ -29,7 +29,7 @@ _LABELS = {
 
 
 def status_html(status: Status) -> str:
-    """Return what a person sees as HTML, escaped."""
+    """Return the display as HTML, escaped."""
     lines = [f"<b>{html.escape(status.state)}</b>"]
     if status.time_left_s is not None:
         lines.append(f"time left {max(status.time_left_s, 0.0):.0f} s")
@@ -185,7 +185,7 @@ def _put(gizmo: Any, T: Array) -> None:
 
 
 def _pose_of(gizmo: Any) -> Array | None:
-    """Return the pose (4, 4) of a gizmo; None if a page has sent what is no pose."""
+    """Return the pose (4, 4) of a gizmo; None if the page has sent no valid pose."""
     position = np.asarray(gizmo.position, dtype=float)
     w, x, y, z = np.asarray(gizmo.wxyz, dtype=float)
     quaternion = np.array([x, y, z, w])

@@ -40,7 +40,7 @@ class Place:
 
 
 class _Route(NamedTuple):
-    """How to get across: how high, in which way, and what that costs."""
+    """A route across: height, way and cost."""
 
     height_m: float
     across: Way

@@ -132,7 +132,7 @@ class Drive:
         return False
 
     def _tell_held(self, segment: Segment) -> None:
-        """Tell the supervisor what the hands hold in a segment."""
+        """Tell the supervisor which objects the hands hold in a segment."""
         supervisor = self.stack.supervisor
         if segment.scene is None:
             return

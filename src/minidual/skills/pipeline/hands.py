@@ -18,7 +18,7 @@ from minidual.skills.states import CLOSED, OPEN, Arms, Segment, State, moved, st
 _ATTEMPTS = 5
 """Postures tried per grip."""
 _RESTED_M = 0.004
-"""Distance by which a hand under impedance lowers what comes to rest."""
+"""Distance by which a hand under impedance lowers an object onto its support."""
 _SHORTER = (1.0, 0.6)
 """Shares of the retreat height to try."""
 
@@ -159,7 +159,7 @@ def _require_support(arms: Arms, start: State) -> None:
 
 
 def _lowered(arms: Arms, start: State, tools: Tools) -> Segment:
-    """Return the motion that presses what the hands hold onto its support."""
+    """Return the motion that presses the held object onto its support."""
     tips = tools.planner.kinematics.tcp_poses(start.q)
     down_m = np.array([0.0, 0.0, -_RESTED_M])
     targets = {arm: moved(tips[SIDES.index(arm)], down_m) for arm in arms}
@@ -186,7 +186,7 @@ def retreat(arms: Arms, start: State, tools: Tools) -> Iterator[Offer]:
 
 
 def home(arms: Arms, start: State, tools: Tools) -> Iterator[Offer]:
-    """Yield the free motion of some arms, and what they hold, home."""
+    """Yield the free motion of some arms, with their objects, home."""
     _require_open_chain(start)
     scene = tools.scene(start)
     group = group_of(arms)

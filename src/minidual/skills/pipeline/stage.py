@@ -37,7 +37,7 @@ class Candidate:
 
 
 Offer = Candidate | CandidateError
-"""What a stage yields, preferred first."""
+"""Results of a stage, preferred first."""
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ _PARTS = 4
 
 @dataclass
 class PlantMeasurements:
-    """What `env-check` measured of a plant; NaN for what was not reached.
+    """Measurements of `env-check` on a plant; NaN where it did not get that far.
 
     Attributes:
         faults: Of the arms, by name.

@@ -15,7 +15,7 @@ _KINDS = {"high": "from above", "left": "wrist", "right": "wrist", "overview": "
 
 
 class CameraCheck(NamedTuple):
-    """What the cameras see.
+    """Pictures of the cameras.
 
     Attributes:
         contrast_min: Least standard deviation of brightness (0..255).

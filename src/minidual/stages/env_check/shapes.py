@@ -1,4 +1,4 @@
-"""What is drawn, what collides in MuJoCo and what collides in Pinocchio, link by link.
+"""Visual shapes and collision shapes in MuJoCo and Pinocchio, link by link.
 
 A wrong unit, scale or axis of a mesh shows in its bounding box and volume.
 """
@@ -19,7 +19,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot, pose
 
 SIZE_RATIO_MAX = 3.0
-"""Of the diagonals of the bounding boxes of what is drawn and what collides.
+"""Of the diagonals of the bounding boxes of visual and collision shapes.
 
 Units are wrong by 10 or more; of the arms of example-robot-data none differs by more than 2.2.
 """
@@ -92,7 +92,7 @@ class LinkShapes(NamedTuple):
 
     @property
     def difference(self) -> str:
-        """How what is drawn differs too much from what collides, or ""."""
+        """How the visual shape differs too much from the collision shape, or ""."""
         if self.drawn is None or self.mujoco is None:
             return ""
         ratio = self.drawn.diagonal_m / self.mujoco.diagonal_m
@@ -139,7 +139,7 @@ class ShapeComparison(NamedTuple):
 
     @property
     def unlike(self) -> list[str]:
-        """Links that are drawn unlike what collides, each with how."""
+        """Links with different visual and collision shapes, each with the difference."""
         return [f"{link} {s.difference}" for link, s in self.links.items() if s.difference]
 
     def record(self) -> dict[str, Any]:

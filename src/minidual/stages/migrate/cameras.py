@@ -33,7 +33,7 @@ _LIKE = (".png", ".jpg", ".jpeg")
 
 @dataclass(frozen=True)
 class Calibration:
-    """What pictures of a board say of a camera.
+    """Calibration of a camera by pictures of a board.
 
     Attributes:
         focal_px: At a picture height of 480.

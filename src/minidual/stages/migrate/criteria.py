@@ -1,4 +1,4 @@
-"""Criteria of the migration: twelve rows of the checklist, and what each step adds.
+"""Criteria of the migration: twelve rows of the checklist, and those that each step adds.
 
 `row01` to `row12` are the rows; a step checks those that it can.
 """

@@ -1,4 +1,4 @@
-"""What a step of the migration measures, and its checks."""
+"""Measurements of a step of the migration, and their checks."""
 
 import math
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ class Worst:
 
 @dataclass
 class StepMeasurements:
-    """Measurements of one step; NaN, or what says no, where it did not get that far.
+    """Measurements of one step; NaN, or a value that fails, where it did not get that far.
 
     Attributes are named after the criteria that they are compared by.
     """
@@ -81,7 +81,7 @@ class StepMeasurements:
 
 
 def _count(names: list[str] | None) -> float:
-    """Return how many, NaN if nobody looked."""
+    """Return the count, NaN if it was not measured."""
     return math.nan if names is None else len(names)
 
 

@@ -1,4 +1,4 @@
-"""Row 7: whether the collision shapes of each link cover what is drawn."""
+"""Row 7: whether the collision shapes of each link cover its visual shapes."""
 
 import itertools
 
@@ -15,7 +15,7 @@ _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 
 
 def small_meshes(robot: Robot, model: mujoco.MjModel | None = None) -> list[str]:
-    """Return the links whose collision shapes are shorter than 80 % of what is drawn.
+    """Return the links whose collision shapes are shorter than 80 % of their visual shapes.
 
     Args:
         robot: The arms.

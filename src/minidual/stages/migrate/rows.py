@@ -1,4 +1,4 @@
-"""How each row of the migration's checklist is measured; a row never reads another's numbers."""
+"""Measurements of the rows of the migration's checklist; no row depends on another's numbers."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -148,7 +148,7 @@ def gravity(drive: PlantDrive, home: Array, arms: Sequence[int]) -> tuple[Worst,
 
 
 def soft_step(drive: PlantDrive, home: Array, arms: Sequence[int]) -> tuple[Worst, Worst]:
-    """Row 6: a step of all driven joints with lower gains; return overshoot and what is left."""
+    """Row 6: a step of all driven joints with lower gains; return overshoot and remaining error."""
     robot = drive.robot
     joints = driven_joints(robot, arms)
     drive.soften(SOFT_SHARE)
@@ -167,7 +167,7 @@ def soft_step(drive: PlantDrive, home: Array, arms: Sequence[int]) -> tuple[Wors
 
 
 def hands(drive: PlantDrive, arms: Sequence[int]) -> tuple[Worst, Worst]:
-    """Row 9: close the empty hands, and open them; return the open share and what stays open."""
+    """Row 9: close the empty hands, and open them; return the open share, and the gap when closed."""
     travel_m = drive.robot.hand.travel_m
     openings = drive.openings.copy()
     for arm in arms:
@@ -201,7 +201,7 @@ def swings(drive: PlantDrive, home: Array, arms: Sequence[int], speed: float) ->
 
 
 def speeds(logs: Sequence[Driven], robot: Robot, share: float) -> Worst:
-    """Row 10: return the largest joint speed, over what this step allows."""
+    """Row 10: return the largest joint speed, relative to the bound of this step."""
     peak = np.max([np.abs(log.v).max(axis=0) for log in logs], axis=0)
     return worst_of(peak / (share * robot.v_max), robot.joint_names)
 

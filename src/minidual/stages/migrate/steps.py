@@ -1,4 +1,4 @@
-"""The five steps of the migration: what each drives, how fast, and which rows it checks."""
+"""The five steps of the migration: driven arms, speed and rows of each."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from minidual.stages.migrate.measured import StepMeasurements, Worst, checks_of
 from minidual.stages.migrate.meshes import small_meshes
 
 PERSONS_ROWS = ("estop-button", "mains", "cable")
-"""What only a person can try: the stop button, mains off and on, the network cable pulled."""
+"""Rows that only a person can try: the stop button, mains off and on, the network cable pulled."""
 _POSTURES = ("ready", "carry")
 _HISTOGRAM_S = 0.001
 
@@ -179,7 +179,7 @@ def measure_step(
     config: Config,
     boards: object = None,
 ) -> tuple[StepMeasurements, list[Driven]]:
-    """Drive an open plant; return what was measured and all that was driven."""
+    """Drive an open plant; return the measurements and the logs."""
     m = StepMeasurements(faults=rows.faults_of(link))
     logs: list[Driven] = []
     if m.faults:
@@ -203,7 +203,7 @@ def measure_step(
 
 @dataclass(frozen=True)
 class _Work:
-    """What a row is measured with."""
+    """Inputs and results of a row's measurement."""
 
     step: Step
     drive: PlantDrive
@@ -399,11 +399,11 @@ _MEASURES: dict[str, Callable[[_Work], None]] = {
     "workspace": _workspace,
     "statistics": _statistics,
 }
-"""How each row is measured; the others follow from what was driven."""
+"""Measurement of each row; the others follow from the log of the drive."""
 
 
 def _write(context: StageContext, logs: Sequence[Driven], robot: Robot) -> None:
-    """Write the histogram of periods, and what was driven."""
+    """Write the histogram of periods, and the log of the drive."""
     periods = np.concatenate([np.diff(log.t) for log in logs]) if logs else np.zeros(0)
     edges, counts = np.unique(np.round(periods / _HISTOGRAM_S), return_counts=True)
     histogram = [

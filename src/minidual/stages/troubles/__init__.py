@@ -1,1 +1,1 @@
-"""Known troubles of two-arm systems, and what minidual does about each."""
+"""Known troubles of two-arm systems, and minidual's answer to each."""

@@ -1,4 +1,4 @@
-"""Order faults from below, and tell causes from what follows from them."""
+"""Order faults from below, and separate causes from their consequences."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ _MOTIONS = (
     "plan closed_chain.executed_*",
     "carry *",
 )
-"""What fails if the arms do not move as they should."""
+"""Faults that follow if the arms do not move as they should."""
 
 _EFFECTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("env-check libraries.unfit", ("env-check *", "plan *", "carry *", "policy *")),
@@ -55,7 +55,7 @@ _EFFECTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("carry success_rate", ("carry *",)),
     ("recordings *", ("policy *",)),
 )
-"""(fault, what it can cause): patterns of part and name. The first that matches a fault counts."""
+"""(fault, consequences): patterns of part and name. The first that matches a fault counts."""
 
 _LEVELS: tuple[tuple[str, Level], ...] = (
     ("env-check libraries.*", Level.INSTALLATION),
@@ -94,12 +94,12 @@ _FIRST = (
 """Which of several faults of a level is looked at first; the others keep their order."""
 
 _STAGES = {"recordings": "teleop-record", "policy": "train-act"}
-"""{part: stage that made what it examines}; other parts bear the name of their stage."""
+"""{part: stage whose artefacts it examines}; other parts bear the name of their stage."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong, and what to do.
+    """A fault and its remedy.
 
     Attributes:
         part: Part of the examination that found it.
@@ -167,7 +167,7 @@ def diagnose(faults: Iterable[Fault], upstream: Mapping[str, Sequence[str]]) -> 
 
 
 def _place(fault: Fault) -> tuple[int, bool, int]:
-    """Return the key to sort by: what is measured now comes before results of earlier."""
+    """Return the key to sort by: present measurements before earlier results."""
     rank = _FIRST.index(fault.key) if fault.key in _FIRST else len(_FIRST)
     return fault.level, fault.part == "results", rank
 
@@ -203,7 +203,7 @@ def _causes(cause: Fault, fault: Fault, upstream: Mapping[str, Sequence[str]]) -
 
 
 def as_lines(faults: Sequence[Fault]) -> list[str]:
-    """Return the causes from below, each with what follows from it."""
+    """Return the causes from below, each with its consequences."""
     causes = [fault for fault in faults if not fault.follows]
     if not causes:
         return ["", "no known fault found"]

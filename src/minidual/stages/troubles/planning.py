@@ -1,4 +1,4 @@
-"""Troubles of motion planning and of what executes the plans."""
+"""Troubles of motion planning and of the execution of plans."""
 
 from minidual.stages.troubles.trouble import (
     Level,

@@ -1,4 +1,4 @@
-"""What is known of one trouble: its level, symptom, cause, and what minidual does about it."""
+"""Description of one trouble: its level, symptom, cause, and minidual's answer."""
 
 from dataclasses import dataclass
 from enum import IntEnum

@@ -52,7 +52,7 @@ class InsertionLesson:
         self._trunks: dict[str, Trunks] = {}
 
     def describe(self, config: Config) -> Description:
-        """Return what the policy reads and gives."""
+        """Return the inputs and outputs of the policy."""
         terms = mating_terms(senses_force=config.methods.rl.senses_force)
         return Description("insertion", terms, ACTION, mating_pilot.RATE_HZ)
 

@@ -33,7 +33,7 @@ _WARM = "rl-warm"
 _METHOD = "impedance"
 """Its conditions and demands are those of the trials."""
 _HELD = tuple(sorted(HAND_OF, key=lambda name: SIDES.index(HAND_OF[name])))
-"""What the left and the right hand hold."""
+"""Parts in the left and the right hand."""
 
 
 class Start(NamedTuple):
@@ -45,7 +45,7 @@ class Start(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What an action has led to.
+    """Result of an action.
 
     Attributes:
         observation: (k,).

@@ -45,7 +45,7 @@ _UPDATES_N = round(1.0 / (RATE_HZ * EVERY_S))
 """Updates of the skill in an action."""
 
 type Policy = Callable[[MatingSensed], Array]
-"""What is sensed -> action (5,) in -1..1."""
+"""Readings -> action (5,) in -1..1."""
 
 
 class LearnedMating:
@@ -97,7 +97,7 @@ class LearnedMating:
         self._move(self.actions.at((within + 1) / _UPDATES_N))
 
     def sense(self, q: Array, q_ref: Array, now_s: float) -> MatingSensed:
-        """Return what is known at this moment; to be called once an action."""
+        """Return the present readings; to be called once an action."""
         gaps_m = 2.0 * self._plant.fingers
         torque = self._observer.external.copy()
         readings = MatingReadings(q, q_ref, gaps_m, torque, now_s)
@@ -110,7 +110,7 @@ class LearnedMating:
 
 
 class LearnedInsertion(CompliantCarry):
-    """One planned trial whose insertion a policy drives from `BEGINS_M` before the mouth.
+    """One planned trial in which a policy drives the insertion, from `BEGINS_M` before the mouth.
 
     Attributes:
         policy: Gives the actions; set before the first step. None pushes straight on.
@@ -192,7 +192,7 @@ def driver(inputs: MethodInputs, network: RlNetwork) -> Factory:
 
 
 def check_fits(network: RlNetwork) -> None:
-    """Raise UsageError unless a network reads and gives what the skill has."""
+    """Raise UsageError unless a network has the inputs and outputs of the skill."""
     description: Description = network.description
     reads_n = mating_size(description.observation)
     gives_n = len(RelativePose.names)

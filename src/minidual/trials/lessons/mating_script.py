@@ -22,7 +22,7 @@ _FREE_M = 0.004
 _SIGNS = np.array([[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
 """Signs of the part that is more askew and of the other one, in the order of the tries."""
 _NOISE = 0.3
-"""Standard deviation of what is added to shown actions, so that they lead back from errors too."""
+"""Standard deviation of the noise on shown actions, so that they lead back from errors too."""
 _ASKED_MAX = 6
 """Episodes that are run for one that is to be shown."""
 _ALONG = 1

@@ -157,7 +157,7 @@ class MatingWorlds(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         return self._latest.copy(), rewards, terminated, truncated, infos
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Let all trunks end."""
+        """End all trunks."""
         for world in self._worlds:
             if world.trial is not None and world.resting:
                 self._trunks.keep(*world.trial)
@@ -169,7 +169,7 @@ class MatingWorlds(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
     # Episodes ----------------------------------------------------------------------------------
 
     def _exchanged(self, actions: Array) -> dict[int, Report]:
-        """Give each world its action; return what it led to, of those that do not rest."""
+        """Give each world its action; return the results of those that do not rest."""
         waiting = deque(
             (number, trunk) for number, trunk in self._present() if not self._worlds[number].resting
         )
@@ -235,7 +235,7 @@ class MatingWorlds(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         return _Started(start, self._trunks.start(start))
 
     def _prepare_one(self, waiting: deque[tuple[int, _World]]) -> None:
-        """Let the next world's first trial run, while others are waited for."""
+        """Start the next world's first trial, while others are waited for."""
         if waiting:
             _, world = waiting.popleft()
             world.next = self._started(world)

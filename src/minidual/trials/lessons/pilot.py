@@ -39,7 +39,7 @@ _ONE = np.zeros(1, dtype=np.int64)
 
 
 class Equipment(NamedTuple):
-    """What the trials of one process share."""
+    """State that the trials of one process share."""
 
     inputs: MethodInputs
     network: RlNetwork

@@ -28,7 +28,7 @@ _SHOWN = "rl-demonstrations"
 
 
 class Recorded(Protocol):
-    """What a demonstrator returns: observations (T, n) and actions (T, m)."""
+    """Result of a demonstrator: observations (T, n) and actions (T, m)."""
 
     @property
     def observations(self) -> Array32:
@@ -70,7 +70,7 @@ class TransportLesson:
         self._demonstrator = demonstrator
 
     def describe(self, config: Config) -> Description:
-        """Return what the policy reads and gives."""
+        """Return the inputs and outputs of the policy."""
         return self._description
 
     def worlds(self, config: Config, wanted: WorldsWanted) -> VectorEnv[Any, Any, Any]:

@@ -40,7 +40,7 @@ _BASE_CLEAR_M = 0.28
 
 @dataclass(frozen=True, eq=False)
 class Query:
-    """What to plan.
+    """A query.
 
     Attributes:
         q_start: Free (n,) [rad].
@@ -225,7 +225,7 @@ def _left_over_right_m(targets: dict[str, Array]) -> float:
 
 
 def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> bool:
-    """Return whether what touches on the straight line makes a query one of a kind."""
+    """Return whether the contacts on the straight line make a query one of a kind."""
     mine = tuple(f"{arm}_" for arm in arms)
     theirs = tuple(f"{arm}_" for arm in SIDES if arm not in arms)
     no_obstacle = ("left_", "right_", "table")

@@ -76,7 +76,7 @@ class Words:
         return self._of_indicator(indicator, indicator.title, 0)
 
     def meaning(self, indicator: Indicator) -> str:
-        """Return what one trial gives."""
+        """Return the description of one trial's value."""
         return self._of_indicator(indicator, indicator.meaning, 1)
 
     def over(self, indicator: Indicator) -> str:
@@ -93,19 +93,19 @@ class Words:
         return measure.title if self._names is None else self._names.measures[name][0]
 
     def measure_meaning(self, name: str, measure: Measure) -> str:
-        """Return what a further measure is."""
+        """Return the description of a further measure."""
         return measure.meaning if self._names is None else self._names.measures[name][1]
 
     def method(self, name: str, summary: str) -> str:
-        """Return what drives the arms."""
+        """Return the description of a method."""
         return self._named(self._names.methods, name, summary) if self._names else summary
 
     def stage(self, name: str, summary: str) -> str:
-        """Return what a stage does."""
+        """Return the description of a stage."""
         return self._named(self._names.stages, name, summary) if self._names else summary
 
     def condition(self, name: str, summary: str) -> str:
-        """Return what a condition changes."""
+        """Return the description of a condition."""
         return self._named(self._names.conditions, name, summary) if self._names else summary
 
     def failure(self, counted: str) -> str:
@@ -116,7 +116,7 @@ class Words:
         return self("failure.phase", failure=failure, phase=phase) if phase else failure
 
     def reason(self, text: str) -> str:
-        """Return why a cell is empty, or what is promised for it."""
+        """Return why a cell is empty, or its promised limit."""
         if self._names is None:
             return text
         for pattern, translation in self._names.patterns.items():
