@@ -24,6 +24,14 @@ class Cell:
         self.hands: dict[str, Gripper] = {}
         self.refuse: set[str] = set()
         self.hardware = True
+        self.pause_ms = 0.0
+
+    def take_pause(self) -> None:
+        """Let time pass once, as a busy machine does."""
+        pause_ms = self.pause_ms
+        self.pause_ms = 0.0
+        for robot in self.robots.values():
+            robot.time_ms += pause_ms
 
 
 class Robot:
@@ -32,6 +40,7 @@ class Robot:
     def __init__(self, host: str, **options: Any) -> None:
         if host in self.cell.refuse:
             raise RuntimeError("libfranka: Connection timeout.")
+        self.host = host
         self.options = options
         self.model_urdf = "" if self.cell.hardware else f'<robot name="{EMULATED}">'
         self.q = np.array(PANDA.home)
@@ -44,6 +53,9 @@ class Robot:
         self.speed = np.zeros(7)
         self.calls: list[str] = []
         self.recoverable = True
+        self.recovering = False
+        self.clears_after = 0
+        """States after a recovery that still show the errors."""
         self.cell.robots[host] = self
 
     @property
@@ -51,6 +63,8 @@ class Robot:
         if not self.silent:
             self.time_ms += 4.0  # the next read comes when it comes
             self.q = self.q + 0.004 * self.speed
+        if self.cell.robots.get(self.host) is self and self.host.endswith("2"):
+            self.cell.take_pause()
         named = {error.name: error.name in self.errors for error in ERRORS}
         return SimpleNamespace(
             time=SimpleNamespace(to_sec=lambda: 1e-3 * self.time_ms),
@@ -84,12 +98,15 @@ class Robot:
 
     @property
     def has_errors(self) -> bool:
+        if self.recovering:
+            self.clears_after -= 1
+            if self.clears_after < 0:
+                self.errors.clear()
         return bool(self.errors)
 
     def recover_from_errors(self) -> bool:
-        if self.recoverable:
-            self.errors.clear()
-        return self.recoverable
+        self.recovering = self.recoverable
+        return not self.has_errors
 
 
 class Gripper:

@@ -122,7 +122,32 @@ def test_an_error_of_one_arm_is_named_and_the_arm_gets_no_more_targets(
     assert driven.health == ""
 
 
-def test_an_error_that_does_not_clear_stays(cell: fake_franky.Cell, open_link: Connection) -> None:
+def test_a_recovery_waits_for_the_state_that_shows_it(
+    cell: fake_franky.Cell, open_link: Connection
+) -> None:
+    left = cell.robots[HOSTS[0]]
+    left.errors = {"cartesian_reflex"}
+    left.clears_after = 3
+    open_link.plant.step()
+    open_link.recover()
+    assert open_link.plant.health == ""
+
+
+def test_arms_are_measured_together_though_the_machine_pauses_between_them(
+    cell: fake_franky.Cell, open_link: Connection
+) -> None:
+    driven = open_link.plant
+    for _ in range(5):
+        cell.pause_ms = 50.0
+        driven.catch_up()
+        left_s, right_s = driven.stamps_s
+        assert abs(left_s - right_s) < 0.005
+
+
+def test_an_error_that_does_not_clear_stays(
+    cell: fake_franky.Cell, open_link: Connection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(link, "_RECOVERY_S", 0.05)
     left = cell.robots[HOSTS[0]]
     left.errors = {"joint_position_limits_violation"}
     left.recoverable = False

@@ -19,6 +19,9 @@ _POLL_EMULATOR_S = 0.002
 _SILENT_S = 0.06
 _SILENT_EMULATOR_S = 10.0
 """So long a step waits for the next state; an emulator on a busy machine is slower."""
+_TOGETHER_S = 0.002
+_READ_AGAIN = 4
+"""States farther apart are read again so often: a busy machine lets time pass between two looks."""
 _SKEW_GAIN = 1e-4
 """Share of the difference of the controllers' clocks that a step takes for drift."""
 WHY_NO_TORQUE = (
@@ -175,6 +178,17 @@ class FrankaPlant:
         """Share of each arm's last 100 commands that its controller got in time."""
         return [arm.success_rate for arm in self._arms]
 
+    def _read(self) -> None:
+        """Read the newest states; the older one again where the other has come in between."""
+        for arm in self._arms:
+            arm.read()
+        for _ in range(_READ_AGAIN):
+            left_s, right_s = self.stamps_s
+            if abs(left_s - right_s) <= _TOGETHER_S:
+                return
+            older = 0 if left_s < right_s else 1
+            self._arms[older].read()
+
     # Commands ----------------------------------------------------------------------------------
 
     def follow(self, q: Array, v: Array, openings: Array) -> None:
@@ -213,8 +227,7 @@ class FrankaPlant:
         left, right = self._arms
         faults = [arm.fault for arm in self._arms]
         while True:
-            for arm in self._arms:
-                arm.read()
+            self._read()
             if self.stamp_s >= due_s - 1e-9:
                 break
             if [arm.fault for arm in self._arms] != faults:
@@ -230,8 +243,7 @@ class FrankaPlant:
 
     def catch_up(self) -> None:
         """Read the newest states: the controllers' time runs on between steps."""
-        for arm in self._arms:
-            arm.read()
+        self._read()
         self.time = max(self.time, self.stamp_s)
         if self._twin is not None:
             self._twin.refresh()
