@@ -133,6 +133,13 @@ def test_a_recovery_waits_for_the_state_that_shows_it(
     assert open_link.plant.health == ""
 
 
+def test_clocks_are_compared_after_both_arms_have_answered(cell: fake_franky.Cell) -> None:
+    cell.pause_ms = 80.0  # while the right arm connects
+    with made() as opened:
+        left_s, right_s = opened.plant.stamps_s
+        assert abs(left_s - right_s) < 0.005
+
+
 def test_arms_are_measured_together_though_the_machine_pauses_between_them(
     cell: fake_franky.Cell, open_link: Connection
 ) -> None:

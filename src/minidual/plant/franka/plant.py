@@ -102,9 +102,8 @@ class FrankaPlant:
             self.place = "emulator"
             self._silent_s = _SILENT_EMULATOR_S
             self._poll_s = _POLL_EMULATOR_S
-        left, right = self._arms
-        self.time = left.time_s
-        self._skew_s = right.time_s - left.time_s
+        self._compare_clocks()
+        self.time = self._arms[0].time_s
 
     def twin(self) -> EmulatorTwin | None:
         """Return the emulator's world, None on hardware; from now on steps refresh it."""
@@ -177,6 +176,18 @@ class FrankaPlant:
     def success_rates(self) -> list[float]:
         """Share of each arm's last 100 commands that its controller got in time."""
         return [arm.success_rate for arm in self._arms]
+
+    def _compare_clocks(self) -> None:
+        """Measure by how much the right controller's clock is ahead of the left one's."""
+        left, right = self._arms
+        for _ in range(_READ_AGAIN):
+            left.read()
+            before_s = left.time_s
+            right.read()
+            left.read()
+            if left.time_s - before_s <= _TOGETHER_S:
+                break
+        self._skew_s = right.time_s - left.time_s
 
     def _read(self) -> None:
         """Read the newest states; the older one again where the other has come in between."""
