@@ -97,10 +97,10 @@ def print_explanation(
     verdict = state.verdict
     if verdict is None:
         return
-    made = verdict.fingerprint
+    fingerprint = verdict.fingerprint
     title = (
         f"verdict: {verdict.status}, {verdict.finished_at}, "
-        f"profile '{made.profile}', seed {made.seed}"
+        f"profile '{fingerprint.profile}', seed {fingerprint.seed}"
     )
     console.print(Text(title, "italic"))
     failed = verdict.failed_checks()

@@ -150,11 +150,11 @@ def _refuse_loose_options(
     asides: Sequence[Aside],
 ) -> None:
     """Raise UsageError for an option that the stage, or the aside asked for, does not take."""
-    chosen = [aside for aside in asides if aside.asked_for]
-    if len(chosen) > 1:
-        triggers = " and ".join(f"--{aside.trigger}" for aside in chosen)
+    requested = [aside for aside in asides if aside.asked_for]
+    if len(requested) > 1:
+        triggers = " and ".join(f"--{aside.trigger}" for aside in requested)
         raise UsageError(f"{triggers} exclude each other; type one of them")
-    aside = chosen[0] if chosen else None
+    aside = requested[0] if requested else None
     for flag, takers in _takers(entry, options, gate_options, view_options, asides).items():
         if (entry.name if aside is None else aside.name) in takers:
             continue

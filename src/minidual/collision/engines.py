@@ -213,19 +213,19 @@ def add_body(
     parent: mujoco.MjsBody,
     shape: Shape,
     prefix: str = "",
-    **look: Any,
+    **attributes: Any,
 ) -> None:
-    """Add a shape to a body; `look` holds further geom attributes."""
+    """Add a shape to a body; `attributes` are further ones of its geoms."""
     name = prefix + shape.name
     body = parent.add_body(name=name, pos=list(shape.position_m), quat=list(shape.quat_wxyz))
     if isinstance(shape, Mesh):
         for index, vertices in enumerate(shape.vertices()):
             mesh = spec.add_mesh(name=f"{name}:{index}", uservert=vertices.ravel())
-            body.add_geom(type=_KIND.mjGEOM_MESH, meshname=mesh.name, **look)
+            body.add_geom(type=_KIND.mjGEOM_MESH, meshname=mesh.name, **attributes)
     elif isinstance(shape, Box):
-        body.add_geom(type=_KIND.mjGEOM_BOX, size=[0.5 * v for v in shape.size_m], **look)
+        body.add_geom(type=_KIND.mjGEOM_BOX, size=[0.5 * v for v in shape.size_m], **attributes)
     else:
         radius_m, *lengths_m = shape.lengths()
         half_length_m = 0.5 * sum(lengths_m)  # a sphere has none
         size = [radius_m, half_length_m, 0.0]
-        body.add_geom(type=_ROUND[type(shape)], size=size, **look)
+        body.add_geom(type=_ROUND[type(shape)], size=size, **attributes)

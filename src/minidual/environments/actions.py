@@ -213,8 +213,8 @@ class PairIncrements(DownwardHands):
         common = share[:, None] * way.mean(axis=1)
         turn = np.where(self.closed, common[:, 3], 0.0)
         moved = turned_together(self.wanted, turn) + common[:, None]
-        left = self.wanted + share[:, None, None] * way - moved
-        apart = 0.5 * (left[:, 0] - left[:, 1])
+        remaining = self.wanted + share[:, None, None] * way - moved
+        apart = 0.5 * (remaining[:, 0] - remaining[:, 1])
         frame = self.wanted[..., 3].mean(axis=1) - _ALONG_Y_RAD
         apart[:, :2] = turned_plane(apart[:, :2], -frame)
         grips = np.zeros((len(wanted), 2))

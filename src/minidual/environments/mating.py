@@ -209,12 +209,14 @@ class MatingSenses:
     def _wrench(self, readings: MatingReadings, own: InHand, other: InHand) -> Array:
         """Return the wrenches (2, 6) on the hands at `readings.q`, where `_between` was last."""
         place_hands(self._parts.frames, readings.q[None], self._Ts)
-        felt = np.zeros((1, 2, 6))
-        wrenches(self._parts.frames, readings.q[None], readings.torque[None], felt)
+        hand_wrenches = np.zeros((1, 2, 6))
+        wrenches(self._parts.frames, readings.q[None], readings.torque[None], hand_wrenches)
         rows: list[Array] = []
         for hand, held in zip(self._hands, (own, other), strict=True):
             R = self._Ts[0, hand, :3, :3] @ held.T_tcp_object[:3, :3]
-            rows.append(np.concatenate([R.T @ felt[0, hand, :3], R.T @ felt[0, hand, 3:]]))
+            rows.append(
+                np.concatenate([R.T @ hand_wrenches[0, hand, :3], R.T @ hand_wrenches[0, hand, 3:]])
+            )
         return np.array(rows)
 
 

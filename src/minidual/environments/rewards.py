@@ -100,15 +100,15 @@ def is_high(state: LiftState) -> Flags:
 
 def goal_distance(state: LiftState) -> tuple[Array, Array]:
     """Return distance [m] and turn [rad] (N,) of the object from its goal."""
-    way = np.linalg.norm(state.xyz[:, :2] - state.goal[:, :2], axis=1)
+    distance_m = np.linalg.norm(state.xyz[:, :2] - state.goal[:, :2], axis=1)
     turn = np.abs(nearest_turn(state.yaw - state.goal[:, 2], state.symmetry))
-    return way, turn
+    return distance_m, turn
 
 
 def is_over_goal(state: LiftState) -> Flags:
     """Return whether the object has been lifted and is at its goal, at any height (N,)."""
-    way, turn = goal_distance(state)
-    return is_high(state) & (way < _NEAR_M) & (turn < _NEAR_RAD)
+    distance_m, turn = goal_distance(state)
+    return is_high(state) & (distance_m < _NEAR_M) & (turn < _NEAR_RAD)
 
 
 # Terms ----------------------------------------------------------------------------------------
@@ -154,8 +154,8 @@ def lift(state: LiftState) -> Array:
 
 def along(state: LiftState) -> Array:
     """Nearness of the lifted object to its goal."""
-    way, turn = goal_distance(state)
-    near = 0.8 * (1.0 - np.tanh(4.0 * way)) + 0.2 * (1.0 - np.tanh(2.0 * turn))
+    distance_m, turn = goal_distance(state)
+    near = 0.8 * (1.0 - np.tanh(4.0 * distance_m)) + 0.2 * (1.0 - np.tanh(2.0 * turn))
     return np.where(is_high(state), near, 0.0)
 
 

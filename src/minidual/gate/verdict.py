@@ -106,14 +106,14 @@ class Verdict:
 
         Times, texts, machine and code do not enter: the same work again has the same content.
         """
-        made = self.fingerprint
+        fingerprint = self.fingerprint
         return digest(
             {
                 "stage": self.stage,
-                "seed": made.seed,
-                "profile": made.profile,
-                "parameters": made.parameters,
-                "options": made.options,
+                "seed": fingerprint.seed,
+                "profile": fingerprint.profile,
+                "parameters": fingerprint.parameters,
+                "options": fingerprint.options,
                 "checks": [check.content() for check in self.checks],
                 "acceptance_profile": self.acceptance_profile,
                 "waivers": [asdict(waiver) for waiver in self.waivers],

@@ -52,10 +52,10 @@ class OwnWorld:
 
 def put_down(world: World, poses: Mapping[str, ObjectPose]) -> None:
     """Put objects at rest at poses; the arms stay."""
-    things = {world.truth(name): pose for name, pose in poses.items()}
-    for thing, pose in things.items():
-        thing.put(pose)
-        thing.qvel[:] = 0.0
+    new_poses = {world.truth(name): pose for name, pose in poses.items()}
+    for named_object, pose in new_poses.items():
+        named_object.put(pose)
+        named_object.qvel[:] = 0.0
     mujoco.mj_forward(world.model, world.data)
 
 

@@ -163,9 +163,9 @@ class World:
         Raises:
             UsageError: The object is unknown or ambiguous.
         """
-        thing = self._objects.get(name)
-        if thing is not None:
-            return thing
+        named_object = self._objects.get(name)
+        if named_object is not None:
+            return named_object
         if name is not None:
             raise unknown_name("object", name, self.objects)
         raise UsageError(
@@ -233,8 +233,8 @@ class World:
         self.data.qpos[self.joints.qpos] = q
         self.data.qpos[self.finger_joints.qpos] = self.robot.hand.travel_m
         self.data.ctrl[self.finger_joints.ctrl] = self.robot.hand.travel_m
-        for thing, pose in new_poses.items():
-            thing.put(pose)
+        for named_object, pose in new_poses.items():
+            named_object.put(pose)
         mujoco.mj_forward(self.model, self.data)
 
     def _check_posture(self, q: Array) -> None:

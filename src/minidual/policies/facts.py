@@ -158,18 +158,18 @@ def _rate_faults(rate_hz: float | None, place: Place | None) -> list[str]:
 
 
 def _joint_faults(driver: Driver, robot: Robot) -> list[str]:
-    here = (*robot.joint_names, *(f"{side}_gripper" for side in robot.sides))
+    entries_here = (*robot.joint_names, *(f"{side}_gripper" for side in robot.sides))
     if driver.state_dim != driver.dim:
         entries = f"its state has {driver.state_dim} entries and its action {driver.dim}"
-        return [f"{entries}; here both have {len(here)}"]
-    if driver.dim != len(here):
+        return [f"{entries}; here both have {len(entries_here)}"]
+    if driver.dim != len(entries_here):
         numbers = f"{robot.dof} joints and {GRIPPERS_N} openings"
-        return [f"it drives {driver.dim} numbers, here are {len(here)}: {numbers}"]
+        return [f"it drives {driver.dim} numbers, here are {len(entries_here)}: {numbers}"]
     names = driver.facts.names
     if names is None:
         return []
     faults: list[str] = []
-    for place, (name, expected) in enumerate(zip(names, here, strict=False)):
+    for place, (name, expected) in enumerate(zip(names, entries_here, strict=False)):
         if name.removesuffix(".pos") != expected:
             faults.append(f"its number {place} is '{name}', here it is '{expected}'")
     return _shortened(faults)
@@ -188,13 +188,13 @@ def _range_faults(facts: PolicyFacts, robot: Robot) -> list[str]:
             continue
         outside = (middle < lower - _TOLERANCE) | (middle > upper + _TOLERANCE)
         too_wide = spread > (upper - lower) / 2.0 + _TOLERANCE
-        here = [
+        entry_faults = [
             f"its data of '{names[i]}' in {key} lie at {middle[i]:.4g} +- {spread[i]:.4g},"
             f" here the range is {lower[i]:.4g} to {upper[i]:.4g}"
             f" ({'rad' if i < robot.dof else 'share of the opening'}): other units, or other joints"
             for i in np.flatnonzero(outside | too_wide)
         ]
-        faults += _shortened(here)
+        faults += _shortened(entry_faults)
     return faults
 
 

@@ -42,7 +42,7 @@ def on_object(changes: NDArray[np.float64], image: Image, without: Image) -> flo
     rows, columns = changes.shape
     differs = (image != without).any(axis=2)[: CELL_PX * rows, : CELL_PX * columns]
     cells = differs.reshape(rows, CELL_PX, columns, CELL_PX)
-    shown = cells.any(axis=(1, 3))
-    if not shown.any():
+    visible = cells.any(axis=(1, 3))
+    if not visible.any():
         return 0.0
-    return float(changes[shown].mean() / max(changes[~shown].mean(), 1e-12))
+    return float(changes[visible].mean() / max(changes[~visible].mean(), 1e-12))

@@ -92,16 +92,18 @@ class Answer:
     @property
     def motions(self) -> list[Contrast]:
         """The shown differences of the motions in the order of QUANTITIES; one of the two forces."""
-        shown = [
+        significant = [
             contrast
             for contrast in self.contrasts
             if contrast.p_value < SIGNIFICANT
             and contrast.low * contrast.high > 0.0
             and contrast.share >= _LEAST_SHARE
         ]
-        if any(contrast.quantity == "internal_force_min_n" for contrast in shown):
-            shown = [contrast for contrast in shown if contrast.quantity != "pinch_force_min_n"]
-        return shown
+        if any(contrast.quantity == "internal_force_min_n" for contrast in significant):
+            significant = [
+                contrast for contrast in significant if contrast.quantity != "pinch_force_min_n"
+            ]
+        return significant
 
     @property
     def tells(self) -> bool:
@@ -178,11 +180,11 @@ def corrected(answers: Sequence[Answer]) -> list[Answer]:
     success = holm([one.p_value for one in answers])
     motion = holm([contrast.p_value for one in answers for contrast in one.contrasts])
     remaining = iter(motion)
-    made: list[Answer] = []
+    corrected_answers: list[Answer] = []
     for one, p_value in zip(answers, success, strict=True):
         contrasts = [replace(contrast, p_value=next(remaining)) for contrast in one.contrasts]
-        made.append(replace(one, p_value=p_value, contrasts=tuple(contrasts)))
-    return made
+        corrected_answers.append(replace(one, p_value=p_value, contrasts=tuple(contrasts)))
+    return corrected_answers
 
 
 def headlines(tasks: Mapping[str, Mapping[str, Any]]) -> list[Answer]:

@@ -120,10 +120,10 @@ class HandsIK:
             inside = (Q[k] >= robot.q_lower) & (Q[k] <= robot.q_upper)
             step = np.abs(Q[k] - Q[k - 1]).max()
             if not (step <= JUMP_MAX_RAD and inside.all()):
-                return Followed(Q[:k], self._ended(T, Q[k - 1], Q[k]))
+                return Followed(Q[:k], self._follow_error(T, Q[k - 1], Q[k]))
         return Followed(Q, None)
 
-    def _ended(self, T_world_object: Array, before: Array, q: Array) -> ClosedChainError:
+    def _follow_error(self, T_world_object: Array, before: Array, q: Array) -> ClosedChainError:
         """Return why the hands cannot follow from `before` to q (n,); arms that failed are NaN."""
         robot = self.robot
         where = place_text(T_world_object)

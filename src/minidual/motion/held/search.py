@@ -69,8 +69,8 @@ def search_object(
 
     All goals (6 + n,) have one object pose; `any_posture` accepts other joints there.
     """
-    here = _Tree([start])
-    there = _Tree(goals)
+    tree = _Tree([start])
+    other_tree = _Tree(goals)
     ends = np.array([start[X], goals[0][X]])
     forward = True
     rounds = 0
@@ -82,16 +82,16 @@ def search_object(
         room = min(_ROOM_START_M + _ROOM_GROWTH_M * rounds, _ROOM_MAX_M)
         rounds += 1
         if forward and any_posture and rng.random() < _GOAL_SHARE:
-            arrived = _carry_to(space, here, ends[1], rng)
+            arrived = _carry_to(space, tree, ends[1], rng)
             if arrived is not None:
-                return np.array(here.branch(arrived))
+                return np.array(tree.branch(arrived))
         x = space.sample(rng, ends, room, _TURN_M)
-        grown = _grow(space, here, x, rng)
+        grown = _grow(space, tree, x, rng)
         if grown is not None:
-            met = _connect(space, there, here.points[grown])
-            if met is not None:
-                return _joined(here.branch(grown), there.branch(met), forward)
-        here, there = there, here
+            joined_row = _connect(space, other_tree, tree.points[grown])
+            if joined_row is not None:
+                return _joined(tree.branch(grown), other_tree.branch(joined_row), forward)
+        tree, other_tree = other_tree, tree
         forward = not forward
     return None
 

@@ -26,8 +26,8 @@ class ServedArm:
 
     def serve(self) -> None:
         """Carry out new requests, and say how a motion ended."""
-        requests, gone = self.channel.poll()
-        if gone:
+        requests, disconnected = self.channel.poll()
+        if disconnected:
             self.controller.disconnected()
         for request in requests:
             with suppress(wire.WireError):

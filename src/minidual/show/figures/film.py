@@ -137,11 +137,11 @@ def sheet_of_postures(
 ) -> int:
     """Draw up to `frames` evenly spaced postures of a film's model; return their number."""
     evenly = np.linspace(0, len(postures.times) - 1, frames)
-    chosen = np.unique(evenly.round().astype(int))
-    pictures = _pictures(model, [postures.qpos[i] for i in chosen], camera, shadows=True)
+    frame_indices = np.unique(evenly.round().astype(int))
+    pictures = _pictures(model, [postures.qpos[i] for i in frame_indices], camera, shadows=True)
     named = [
         (f"{postures.times[i]:.3f} s", picture.copy())
-        for i, picture in zip(chosen, pictures, strict=True)
+        for i, picture in zip(frame_indices, pictures, strict=True)
     ]
     sheet(named, min(_SHEET_COLUMNS_MAX, len(named)), path)
     return len(named)

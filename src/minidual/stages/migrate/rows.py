@@ -86,12 +86,12 @@ def approach(drive: PlantDrive, home: Array, arms: Sequence[int]) -> tuple[Worst
     """Row 3 and 6: move each joint slowly to both sides.
 
     Returns:
-        Error where it should stand, latency [s], and error of a joint that should not have moved.
+        Largest error of a joint at its goal, latency [s], and largest motion of the other joints.
     """
     robot = drive.robot
     errors = np.zeros(robot.dof)
     lags: list[float] = []
-    others = np.zeros(robot.dof)
+    others_moved = np.zeros(robot.dof)
     joints = driven_joints(robot, arms)
     for joint in joints:
         for side in (1.0, -1.0):
@@ -99,14 +99,14 @@ def approach(drive: PlantDrive, home: Array, arms: Sequence[int]) -> tuple[Worst
             goal[joint] += side * APPROACH_RAD
             goal = np.clip(goal, robot.q_lower + 0.02, robot.q_upper - 0.02)
             log = drive.move(goal, seconds=0.1)
-            away = np.abs(log.q[-1] - goal)
-            errors[joint] = max(errors[joint], away[joint])
-            others[joint] = max(others[joint], float(np.delete(away, joint).max()))
+            deviation = np.abs(log.q[-1] - goal)
+            errors[joint] = max(errors[joint], deviation[joint])
+            others_moved[joint] = max(others_moved[joint], float(np.delete(deviation, joint).max()))
             lags.append(lag_s(log, joint))
             drive.move(home)
     names = [robot.joint_names[joint] for joint in joints]
-    worst = worst_of(np.maximum(errors, others)[joints], names)
-    return worst, Worst(float(np.median(lags)), ""), worst_of(others[joints], names)
+    worst = worst_of(np.maximum(errors, others_moved)[joints], names)
+    return worst, Worst(float(np.median(lags)), ""), worst_of(others_moved[joints], names)
 
 
 def lag_s(log: Driven, joint: int) -> float:
@@ -160,10 +160,10 @@ def soft_step(drive: PlantDrive, home: Array, arms: Sequence[int]) -> tuple[Wors
     log = drive.take()
     drive.soften(1.0)
     drive.move(home)
-    beyond = ((log.q - goal) * np.sign(goal - home))[:, joints].max(axis=0)
-    left = np.abs(log.q[-1] - goal)[joints]
+    overshoot = ((log.q - goal) * np.sign(goal - home))[:, joints].max(axis=0)
+    remaining = np.abs(log.q[-1] - goal)[joints]
     names = [robot.joint_names[joint] for joint in joints]
-    return worst_of(np.maximum(beyond, 0.0), names), worst_of(left, names)
+    return worst_of(np.maximum(overshoot, 0.0), names), worst_of(remaining, names)
 
 
 def hands(drive: PlantDrive, arms: Sequence[int]) -> tuple[Worst, Worst]:
@@ -181,9 +181,9 @@ def hands(drive: PlantDrive, arms: Sequence[int]) -> tuple[Worst, Worst]:
     drive.hold(_HAND_S)
     opened = drive.plant.fingers / travel_m
     names = [f"the {SIDES[arm]} hand" for arm in arms]
-    chosen = list(arms)
-    least = worst_of(-opened[chosen], names)
-    return Worst(-least.value, least.where), worst_of(2.0 * closed_m[chosen], names)
+    driven_arms = list(arms)
+    least_open = worst_of(-opened[driven_arms], names)
+    return Worst(-least_open.value, least_open.where), worst_of(2.0 * closed_m[driven_arms], names)
 
 
 def swings(drive: PlantDrive, home: Array, arms: Sequence[int], speed: float) -> Driven:

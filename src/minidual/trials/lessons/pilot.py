@@ -210,6 +210,6 @@ class ReinforcedPilot:
 
     def _wrenches(self) -> Array:
         """Return the wrenches (1, 2, 6) of the surroundings on each hand, as the supervisor sees them."""
-        felt = np.zeros((1, 2, 6))
-        wrenches(self._frames, self._plant.q[None], self._observer.external[None], felt)
-        return felt
+        hand_wrenches = np.zeros((1, 2, 6))
+        wrenches(self._frames, self._plant.q[None], self._observer.external[None], hand_wrenches)
+        return hand_wrenches
