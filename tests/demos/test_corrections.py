@@ -41,6 +41,7 @@ class Pushing:
     """
 
     cameras: Mapping[str, tuple[int, int]] = {}
+    inputs: Mapping[str, int] = {}
 
     def __init__(self, step_rad: Array | float = 0.0, openings: Array = OPEN) -> None:
         self._step_rad = step_rad
@@ -52,6 +53,17 @@ class Pushing:
 
     def act(self, images: Mapping[str, Image], state: Array) -> Array:
         return np.concatenate([state[:14] + self._step_rad, self._openings])
+
+
+class Feeling(Pushing):
+    """A policy that reads joint torques, too."""
+
+    inputs: Mapping[str, int] = {"joint_torques": 14}
+
+    def act(self, images: Mapping[str, Image], state: Array) -> Array:
+        assert state.shape == (30,)
+        assert np.abs(state[16:]).max() > 1.0, "torques hold the arms up"
+        return super().act(images, state)
 
 
 class Broken(Pushing):
@@ -268,8 +280,9 @@ def test_an_episode_holds_who_drove_and_the_signals_that_were_chosen(
 ) -> None:
     swing = np.zeros(14)
     swing[1] = 0.004
-    signals = ["hand_wrench", "internal_force", "arbiter_state", "reflex", "late_s"]
-    rig = sways_rig(tmp_path, Pushing(swing), signals=signals)
+    forces = ["joint_torques", "external_torques", "hand_wrench", "internal_force"]
+    signals = [*forces, "arbiter_state", "reflex", "late_s"]
+    rig = sways_rig(tmp_path, Feeling(swing), signals=signals)
     attempt = rig.record(0)
     rig.close()
     assert attempt.path is not None
@@ -283,6 +296,9 @@ def test_an_episode_holds_who_drove_and_the_signals_that_were_chosen(
     assert np.count_nonzero(np.diff(driver)) == 2
     assert episode.effort is not None
     assert episode.effort.shape == (ticks, 14)
+    np.testing.assert_array_equal(episode.signals["joint_torques"], episode.effort)
+    assert episode.signals["external_torques"].shape == (ticks, 14)
+    assert np.abs(episode.signals["external_torques"]).max() > 0.0
     assert episode.signals["hand_wrench"].shape == (ticks, 2, 6)
     assert (episode.signals["internal_force"] >= 0.0).all()
     states = {ARBITER_STATES[int(code)] for code in episode.signals["arbiter_state"]}

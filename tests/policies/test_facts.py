@@ -136,6 +136,15 @@ def test_rate_and_names_are_those_of_the_dataset_if_it_is_here(tmp_path: Path, n
     assert facts.names == NAMES
 
 
+def test_statistics_of_inputs_are_not_compared_with_joints() -> None:
+    """A torque of 80 Nm is no joint in degrees."""
+    more = np.r_[MIDDLE, np.full(14, 80.0)]
+    facts = PolicyFacts(**statistics(more, np.full(30, 0.2)))
+    feeling = Driver({"high": (96, 128)}, 16, 16, facts.without_inputs(16))
+    assert mismatches(feeling, DUAL_PANDA, PLACE) == []
+    assert facts.middles["observation.state"].shape == (30,)
+
+
 def test_the_policies_of_the_package_fit() -> None:
     folder = shipped_policy("rod_carry")
     facts = read_facts(folder)

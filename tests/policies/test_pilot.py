@@ -10,6 +10,7 @@ import pytest
 
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
+from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.policies.kinds import ChunkPolicy, Image
 from minidual.policies.pilot import Picture, PolicyPilot
@@ -125,6 +126,43 @@ def test_a_broken_output_stops_the_trial_by_name(world: World, broken: BrokenOut
     assert named_s < broken.named_before_s
     assert np.abs(world.v).max() < 0.05
     assert pilot.stack.source is None
+
+
+class Feeling(Scripted):
+    """Keeps the states that it gets, with joint torques and the wrenches of the hands."""
+
+    def __init__(self) -> None:
+        super().__init__(_ramp)
+        self.inputs = {"joint_torques": 14, "hand_wrench": 12}
+        self.states: list[np.ndarray] = []
+
+    def predict(self, images: Mapping[str, Image], state: np.ndarray) -> np.ndarray:
+        self.states.append(state)
+        return super().predict(images, state)
+
+
+def test_a_policy_gets_the_forces_that_it_reads_at_each_look(world: World) -> None:
+    """Torques hold the arms up from the first look on; nothing touches the hands."""
+    policy = Feeling()
+    runtime = PolicyRuntime(policy, n_action_steps=CHUNK, blend_ticks=0, limits=(Q_LOWER, Q_UPPER))
+    supervisor = Supervisor(dt_s=world.dt, kinematics=Kinematics())
+    stack = ControlStack(world, Kinematics(), supervisor=supervisor)
+    pilot = PolicyPilot(stack, runtime, _changing(world))
+    while world.time < 0.35:
+        pilot.step()
+    assert pilot.aborted is None
+    assert len(policy.states) >= 2
+    for state in policy.states:
+        assert state.shape == (42,)
+        assert np.abs(state[16:30]).max() > 5.0
+        assert np.abs(state[30:]).max() < 5.0
+
+
+def test_forces_that_are_not_sensed_are_refused_before_the_first_step(world: World) -> None:
+    runtime = PolicyRuntime(Feeling(), n_action_steps=CHUNK, blend_ticks=0)
+    with pytest.raises(UsageError, match="reads hand_wrench, and no supervisor observes"):
+        PolicyPilot(ControlStack(world, Kinematics()), runtime, _changing(world))
+    assert world.time == 0.0
 
 
 def test_a_sound_policy_flies_on(world: World) -> None:

@@ -60,6 +60,20 @@ def test_it_sends_what_is_measured_and_gets_a_chunk() -> None:
     assert messages[0]["state"].dtype == np.float32
 
 
+def test_a_server_gets_the_inputs_that_it_asks_for() -> None:
+    def stay(message: dict) -> dict:
+        return {"actions": np.repeat(message["state"][None, :16], CHUNK, axis=0)}
+
+    asking = {**HELLO, "inputs": {"hand_wrench": 12}}
+    with served(stay, hello=asking) as (address, messages):
+        runtime = load_runtime(folder_of(address), DeployConfig(), DUAL_PANDA, PLACE)
+        with pytest.raises(DataError, match=r"not \(28,\): .*hand_wrench \(12\)"):
+            runtime.act(IMAGES, STATE)
+        runtime.predict_chunk(IMAGES, runtime.with_usual_inputs(STATE))
+        runtime.policy.close()
+    assert messages[0]["state"].shape == (28,)
+
+
 def test_the_time_of_an_answer_is_measured_and_passes_in_the_simulation() -> None:
     """An answer that takes 0.1 s comes after at least five ticks of 50 Hz; the arms hold meanwhile."""
 

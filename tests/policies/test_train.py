@@ -87,6 +87,56 @@ def test_the_time_limit_cuts_training_and_says_so(demos: Demonstrations, tmp_pat
     assert 0 < result.steps < 400 == result.steps_asked
 
 
+def test_a_budget_counts_the_steps_that_fit_and_trains_exactly_those(
+    demos: Demonstrations,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The weights are those of that many steps: timing a copy changes nothing."""
+    from minidual.policies.train import _Loop
+
+    timed = _Loop.timed_step_s
+    times_s: list[float] = []
+
+    def constant(self: object) -> float:
+        times_s.append(timed(self))
+        return 1e4
+
+    monkeypatch.setattr(_Loop, "timed_step_s", constant)
+    budget = TrainConfig(**SMALL, budget_s=4.5e4)
+    result = train(demos, budget, 0, tmp_path / "a")
+    assert (result.steps, result.steps_asked) == (4, 4)
+    assert times_s[0] > 0.0
+    train(demos, TrainConfig(**SMALL), 0, tmp_path / "b")
+    assert same(weights(tmp_path / "a"), weights(tmp_path / "b"))
+
+
+def test_an_interrupted_budget_keeps_the_steps_that_it_began_with(
+    demos: Demonstrations,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from minidual.policies.train import _Loop
+
+    budget = TrainConfig(**SMALL, budget_s=4.5e4)
+
+    def interrupt(_steps: int, _loss: float) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_Loop, "timed_step_s", lambda self: 1e4)
+    place = tmp_path / "progress"
+    with pytest.raises(KeyboardInterrupt):
+        train(demos, budget, 0, tmp_path / "a", progress=place, advance=interrupt)
+    monkeypatch.setattr(_Loop, "timed_step_s", lambda self: 1e3)
+    result = train(demos, budget, 0, tmp_path / "a", progress=place)
+    assert (result.resumed_from_step, result.steps, result.set_aside) == (1, 4, None)
+
+
+def test_a_budget_of_no_time_trains_one_step(demos: Demonstrations, tmp_path: Path) -> None:
+    result = train(demos, TrainConfig(**SMALL, budget_s=1e-3), 0, tmp_path / "a")
+    assert (result.steps, result.steps_asked, result.stopped_by) == (1, 1, "steps")
+
+
 def test_the_configured_learning_rate_is_what_the_curve_shows(
     demos: Demonstrations,
     tmp_path: Path,
@@ -117,6 +167,8 @@ def test_records_hold_the_curve(demos: Demonstrations, tmp_path: Path) -> None:
         {"learning_rate": 0.0},
         {"learning_rate": float("nan")},
         {"policy": ""},
+        {"budget_s": 0.0},
+        {"inputs": ["hand_wrench", "hand_wrench"]},
         {"steps": 0},
         {"unknown": 1},
     ],

@@ -53,6 +53,7 @@ class Mimic:
 
     def __init__(self, step_rad: float = 0.0) -> None:
         self.cameras: dict[str, tuple[int, int]] = {}
+        self.inputs: dict[str, int] = {}
         self.step_rad = step_rad
         self.flushes = 0
 

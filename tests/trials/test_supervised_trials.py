@@ -45,6 +45,7 @@ class Still:
 
     def __init__(self, away_rad: float) -> None:
         self.cameras: dict[str, tuple[int, int]] = {}
+        self.inputs: dict[str, int] = {}
         self.times_s: list[float] = []
         self._action = np.r_[HOME + away_rad, 1.0, 1.0]
 

@@ -1,5 +1,6 @@
-"""The LeRobot policy `spatial_act`. Importing its configuration registers it."""
+"""The LeRobot policies `spatial_act` and `spatial_diffusion`. Importing a configuration registers it."""
 
 from minidual.policies.spatial_act import SpatialActConfig
+from minidual.policies.spatial_diffusion import SpatialDiffusionConfig
 
-__all__ = ["SpatialActConfig"]
+__all__ = ["SpatialActConfig", "SpatialDiffusionConfig"]

@@ -25,7 +25,8 @@ def load_policy(
     """Load a policy: of a task that one comes with the package for, or of a checkpoint folder.
 
     The policy maps pictures and joints to joint targets at 50 Hz: `reset()` before each trial, then
-    `act(images, state)` at each tick. `cameras` is {camera: (height, width)} of what it needs.
+    `act(images, state)` at each tick. `cameras` is {camera: (height, width)} of what it needs, and
+    `inputs` {signal: entries} of what a state holds behind joints and openings.
 
     Args:
         policy: A task ("rod_carry"), the folder of a checkpoint

@@ -52,6 +52,8 @@ class TeleopConfig(StrictModel):
     cameras: tuple[Literal["high", "left", "right"], ...] = ("high",)
     signals: tuple[
         Literal[
+            "joint_torques",
+            "external_torques",
             "hand_wrench",
             "internal_force",
             "arbiter_state",
@@ -139,7 +141,8 @@ class TrainConfig(StrictModel):
 
     # Architecture
     policy: str = Field(default="spatial_act", min_length=1)
-    """Row of POLICIES: spatial_act (keyframes, then ACT) or act (LeRobot's stock ACT)."""
+    """Row of POLICIES: spatial_act (keyframes, then ACT), spatial_diffusion, or LeRobot's own act and
+    diffusion."""
     chunk_size: int = Field(default=50, ge=1, le=500)
     """Ticks predicted by one inference."""
     dim_model: int = Field(default=128, ge=16, le=1024, multiple_of=16)
@@ -152,11 +155,15 @@ class TrainConfig(StrictModel):
     kl_weight: float = Field(default=10.0, ge=0.0, le=1e4)
     keypoints: int = Field(default=64, ge=4, le=256)
     """Spatial-softmax keypoints of each camera."""
+    denoising_steps: int = Field(default=5, ge=1, le=100)
+    """Of diffusion: passes of its network for one chunk."""
 
     # Optimisation
     seeds_n: AtLeast[int] = Field(default=1, ge=1, le=10)
     """Trainings, each with its own seed; deploy runs every policy, benchmark the first."""
     steps: int = Field(default=7000, ge=1, le=10_000_000)
+    budget_s: float | None = Field(default=None, gt=0.0, le=1e7)
+    """Time of each training, instead of `steps`: the first steps are timed to count those that fit."""
     time_limit_s: float = Field(default=86_400.0, gt=0.0, le=1e7)
     """Guard: a training that takes longer is stopped and fails the check `steps_done`."""
     batch_size: int = Field(default=32, ge=1, le=4096)
@@ -175,6 +182,8 @@ class TrainConfig(StrictModel):
     # Data
     cameras: tuple[str, ...] = ("high",)
     """Empty means all."""
+    inputs: tuple[str, ...] = ()
+    """Recorded signals that the policy reads beside joints and pictures; docs/train-act.md."""
     validation_fraction: float = Field(default=0.08, ge=0.0, le=0.5)
     approach_weight: float = Field(default=3.0, gt=0.0, le=100.0)
     """Sampling weight of ticks before the grasp."""
@@ -204,6 +213,8 @@ class TrainConfig(StrictModel):
     def _consistent(self) -> Self:
         if self.dim_model % self.heads:
             raise ValueError(f"dim_model {self.dim_model} is not a multiple of heads {self.heads}")
+        if len(set(self.inputs)) != len(self.inputs):
+            raise ValueError(f"inputs repeat: {', '.join(self.inputs)}")
         return self
 
 

@@ -197,6 +197,11 @@ class Supervisor:
         return self._stop.reference
 
     @property
+    def observes(self) -> bool:
+        """Whether contacts are observed; without bounds `touch` stays 0."""
+        return self._bounded
+
+    @property
     def touch(self) -> Array:
         """External torque (n,) [Nm] beyond its mean of the last 0.1 s, which dry joints explain."""
         return self.observer.external - self.observer.steady

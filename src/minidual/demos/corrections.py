@@ -26,7 +26,13 @@ class DrivingPolicy(Protocol):
 
     Attributes:
         cameras: Size of the pictures (H, W) by camera.
+        inputs: Entries of what it reads beside joints and openings, by signal (`sensed.SENSED`).
     """
+
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See above."""
+        ...
 
     @property
     def cameras(self) -> Mapping[str, tuple[int, int]]:
@@ -99,7 +105,7 @@ class Corrections:
             reading: Of the leader; its target counts while it drives.
             pressed: All buttons of this tick.
             images: Pictures by camera.
-            state: Joints (n,) [rad] and openings (2,), as measured.
+            state: Joints (n,) [rad], openings (2,) and inputs of the policy, as measured.
         """
         clutched = reading is not None and reading.clutch
         if self.driver is Driver.POLICY:

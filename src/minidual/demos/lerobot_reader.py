@@ -53,6 +53,7 @@ __all__ = [
     "camera_key",
     "camera_name",
     "colours",
+    "has_signal",
     "read_dataset",
     "read_signal",
 ]
@@ -240,6 +241,21 @@ def read_dataset(root: Path | str) -> LeRobotTables:
     return tables
 
 
+def has_signal(root: Path | str, name: str) -> bool:
+    """Return whether the dataset holds a recorded signal.
+
+    Raises:
+        DataError: The first table is corrupt.
+    """
+    root = Path(root)
+    files = data_files(root)
+    if not files:
+        return False
+    with reading(files[0], root):
+        columns = pq.read_schema(files[0]).names
+    return signal_key(name) in columns
+
+
 def read_signal(root: Path | str, name: str) -> NDArray[np.float32] | None:
     """Return a recorded signal (N, entries), None if the dataset has it not.
 
@@ -248,14 +264,9 @@ def read_signal(root: Path | str, name: str) -> NDArray[np.float32] | None:
     """
     root = Path(root)
     key = signal_key(name)
-    files = data_files(root)
-    if not files:
+    if not has_signal(root, name):
         return None
-    with reading(files[0], root):
-        columns = pq.read_schema(files[0]).names
-    if key not in columns:
-        return None
-    table = _read_parquet(root, files, "data", [key])
+    table = _read_parquet(root, data_files(root), "data", [key])
     with reading(f"{root}: '{key}'", root):
         return _vectors(table, key)
 

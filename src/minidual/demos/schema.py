@@ -15,6 +15,8 @@ key                                   shape         meaning
 
 The signals of `teleop.signals` are optional:
 
+``observations/joint_torques``        (T, n)        motor torques [Nm], as ``effort``
+``observations/external_torques``     (T, n)        torques that the arms' own motion does not explain [Nm]
 ``observations/hand_wrench``          (T, 2, 6)     contact on each hand [N, Nm], at the tcp, world axes
 ``observations/internal_force``       (T,)          hands press on what is between them [N]
 ``session/arbiter_state``             (T,)          place in `signals.ARBITER_STATES`
@@ -79,6 +81,8 @@ FIELDS = (
     Field("action_gripper", "action_gripper", ("grippers",)),
     Field("timestamps", "timestamps"),
     Field("image_timestamps", "image_timestamps", required=False),
+    Field("joint_torques", "observations/joint_torques", ("joints",), required=False),
+    Field("external_torques", "observations/external_torques", ("joints",), required=False),
     Field("hand_wrench", "observations/hand_wrench", ("hands", "wrench"), required=False),
     Field("internal_force", "observations/internal_force", required=False),
     Field("arbiter_state", "session/arbiter_state", required=False),
@@ -90,6 +94,8 @@ FIELDS = (
 )
 """Every numeric array."""
 SIGNALS = (
+    "joint_torques",
+    "external_torques",
     "hand_wrench",
     "internal_force",
     "arbiter_state",

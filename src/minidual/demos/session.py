@@ -19,6 +19,7 @@ from minidual.demos.corrections import Corrections, DrivingPolicy
 from minidual.demos.leader import Feedback, Leader
 from minidual.demos.mirror import Mirror
 from minidual.demos.seat import Seat, for_a_person
+from minidual.demos.sensed import SensedInputs
 from minidual.demos.signals import Driver, Signals, recorded_signals
 from minidual.demos.station import NO_STATION, Button
 from minidual.errors import MinidualError
@@ -187,6 +188,7 @@ class TeleopSession:
         self._pictures = pictures
         self._signals = Signals(stack, recorded_signals(config))
         self._corrections: Corrections | None = None
+        self._sensed = SensedInputs(stack, {})
 
     def run(
         self,
@@ -199,7 +201,8 @@ class TeleopSession:
         """Run one episode; `on_tick` is called after each command.
 
         Raises:
-            UsageError: Leader and follower are apart, or have other joints.
+            UsageError: Leader and follower are apart, or have other joints; the policy reads what
+                is not sensed here.
             HandoverError: The arbiter refused.
             Exception: What failed in a leader, a camera or `on_tick`, once the arms have stopped.
         """
@@ -214,6 +217,7 @@ class TeleopSession:
         self._signals.reset()
         self._corrections = None
         if self.policy is not None:
+            self._sensed = SensedInputs(self.stack, self.policy.inputs)
             self._corrections = Corrections(self.policy, mirror)
             self._corrections.begin(self.world.q, openings_of(self.world))
         button = seat.begin()
@@ -319,7 +323,7 @@ class TeleopSession:
             wanted = seat.read(k)
         else:
             reading = seat.read(k, moves=corrections.drives)
-            state = np.concatenate([q, gripper])
+            state = np.concatenate([q, gripper, self._sensed.read()])
             wanted = None
             if seat.ending is None:
                 wanted = corrections.command(reading, seat.pressed, images, state)

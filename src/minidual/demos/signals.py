@@ -9,13 +9,10 @@ from minidual.config.learning import TeleopConfig
 from minidual.control.commands import ArbiterState
 from minidual.control.reflexes import REFLEXES
 from minidual.control.stack import ControlStack
+from minidual.demos.sensed import SENSED, ForceReadings
 from minidual.plant.protocol import Plant
 from minidual.plant.render import StampedImage
-from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
-
-_RANK_EPS = 1e-3
-"""Keeps the wrench finite where a hand has lost a direction of motion."""
 
 
 class Driver(StrEnum):
@@ -49,7 +46,7 @@ class Signals:
     def __init__(self, stack: ControlStack[Plant], names: Sequence[str]) -> None:
         self._stack = stack
         self._names = tuple(names)
-        self._kinematics = Kinematics(stack.plant.robot)
+        self._forces = ForceReadings(stack)
         self.reset()
 
     def reset(self) -> None:
@@ -79,10 +76,8 @@ class Signals:
 
     def _value(self, name: str, driver: Driver, late_s: float, lost_n: int) -> Array | float:
         match name:
-            case "hand_wrench":
-                return self._wrenches()
-            case "internal_force":
-                return self._internal_force()
+            case _ if name in SENSED:
+                return self._forces.read(name)
             case "arbiter_state":
                 return ARBITER_STATES.index(self._stack.state)
             case "reflex":
@@ -102,27 +97,3 @@ class Signals:
             lost_n += picture.stamp_s <= self._stamps_s.get(camera, -np.inf)
             self._stamps_s[camera] = picture.stamp_s
         return lost_n
-
-    def _wrenches(self) -> Array:
-        """Return the wrench of contacts on each hand (2, 6) [N, Nm], at the tcp, world axes.
-
-        It is what the external torques of the arm's joints mean at the hand, by damped least
-        squares.
-        """
-        robot = self._kinematics.robot
-        external_nm = self._stack.supervisor.touch
-        wrenches = np.zeros((2, 6))
-        for arm, J in enumerate(self._kinematics.tcp_jacobians(self._stack.plant.q)):
-            own = robot.joints_of(arm)
-            J_own = J[:, own]
-            gram = J_own @ J_own.T + _RANK_EPS * np.eye(6)
-            wrenches[arm] = np.linalg.solve(gram, J_own @ external_nm[own])
-        return wrenches
-
-    def _internal_force(self) -> float:
-        """Return the force [N] of the hands on the object between them, 0 or more."""
-        left, right = self._kinematics.tcp_poses(self._stack.plant.q)
-        apart = left[:3, 3] - right[:3, 3]
-        axis = apart / np.linalg.norm(apart)
-        of_left, of_right = self._wrenches()[:, :3]
-        return max(0.0, float(min(of_left @ axis, -(of_right @ axis))))

@@ -39,6 +39,8 @@ class ActKind(PolicyKind):
 
     config_class: type[PreTrainedConfig] = ACTConfig
     policy_class: type[PreTrainedPolicy] = ACTPolicy
+    draws_in_forward: bool = False
+    """Whether the network draws random numbers that are no dropout and no VAE."""
 
     def make(self, config: TrainConfig, demos: Demonstrations) -> PreTrainedPolicy:
         """Return a new policy; torch's generator draws the weights."""
@@ -73,7 +75,7 @@ class ActKind(PolicyKind):
             policy = self.make(config, job.demos).to(config.device)
             return Trained(policy, *make_pre_post_processors(policy.config, dataset_stats=stats))
 
-        result, trained = train(build, job)
+        result, trained = train(build, job, draws_in_forward=self.draws_in_forward)
         result.architecture = self.architecture(trained.policy.config).name
         with durable.replacing(folder) as partial:
             partial.mkdir(parents=True)
@@ -126,8 +128,8 @@ class ActKind(PolicyKind):
 class SpatialActKind(ActKind):
     """Keypoints of each picture, then keyframes, then ACT's transformer."""
 
-    config_class = SpatialActConfig
-    policy_class = SpatialActPolicy
+    config_class: type[SpatialActConfig] = SpatialActConfig
+    policy_class: type[SpatialActPolicy] = SpatialActPolicy
 
     def architecture(self, policy_config: PreTrainedConfig) -> Architecture:
         """See `ActKind.architecture`; without keyframes the transformer gets the keypoints."""
@@ -135,17 +137,20 @@ class SpatialActKind(ActKind):
         return KEYFRAME_ACT if policy_config.keyframes else KEYPOINT_ACT
 
     def make(self, config: TrainConfig, demos: Demonstrations) -> PreTrainedPolicy:
-        """See `ActKind.make`; convolutions use bfloat16 where the device has it."""
-        policy_config = dataclasses.replace(
-            _policy_config(SpatialActConfig, config, demos),
+        """See `ActKind.make`."""
+        policy = self.policy_class(self.configuration(config, demos))
+        policy.fast_on_cpu()
+        return policy
+
+    def configuration(self, config: TrainConfig, demos: Demonstrations) -> SpatialActConfig:
+        """Return the network's configuration; convolutions use bfloat16 where the device has it."""
+        return dataclasses.replace(
+            _policy_config(self.config_class, config, demos),
             keypoints=config.keypoints,
             keyframes=demos.keyframe_ticks.shape[1],
             grippers=demos.state_grippers,
             bf16=native_bf16(config.device),
         )
-        policy = SpatialActPolicy(policy_config)
-        policy.fast_on_cpu()
-        return policy
 
 
 ACT_KIND = ActKind()
@@ -172,12 +177,8 @@ def _try_out(policy: TorchChunkPolicy) -> None:
         raise ValueError(f"it emits {chunk.shape}, not {expected}")
 
 
-def _policy_config[Config: ACTConfig](
-    config_class: type[Config],
-    config: TrainConfig,
-    demos: Demonstrations,
-) -> Config:
-    """Return the configuration of ACT's transformer for the demonstrations."""
+def input_features(demos: Demonstrations) -> dict[str, PolicyFeature]:
+    """Return what a policy of the demonstrations reads, as LeRobot names it."""
     inputs = {STATE: PolicyFeature(type=FeatureType.STATE, shape=(demos.state_dim,))}
     for camera in demos.cameras:
         height, width = demos.images[camera].shape[1:3]
@@ -185,9 +186,23 @@ def _policy_config[Config: ACTConfig](
             type=FeatureType.VISUAL,
             shape=(3, height, width),
         )
+    return inputs
+
+
+def output_features(demos: Demonstrations) -> dict[str, PolicyFeature]:
+    """Return what a policy of the demonstrations commands, as LeRobot names it."""
+    return {ACTION: PolicyFeature(type=FeatureType.ACTION, shape=(demos.dim,))}
+
+
+def _policy_config[Config: ACTConfig](
+    config_class: type[Config],
+    config: TrainConfig,
+    demos: Demonstrations,
+) -> Config:
+    """Return the configuration of ACT's transformer for the demonstrations."""
     return config_class(
-        input_features=inputs,
-        output_features={ACTION: PolicyFeature(type=FeatureType.ACTION, shape=(demos.dim,))},
+        input_features=input_features(demos),
+        output_features=output_features(demos),
         device=config.device,
         push_to_hub=False,
         chunk_size=config.chunk_size,

@@ -32,7 +32,30 @@ KEYPOINT_ACT = Architecture(
     "ACT's transformer gets image keypoints and the joints; the demonstrations have no keyframes",
 )
 STOCK_ACT = Architecture("stock_act", "LeRobot's ACT with a resnet18 for each picture")
-_ARCHITECTURES = {row.name: row for row in (KEYFRAME_ACT, KEYPOINT_ACT, STOCK_ACT)}
+KEYFRAME_DIFFUSION = Architecture(
+    "keyframe_diffusion",
+    "the head of keyframe_act reads the next grasp and release postures; the UNet of LeRobot's "
+    "diffusion policy gets these and the joints, and denoises chunks of actions",
+)
+KEYPOINT_DIFFUSION = Architecture(
+    "keypoint_diffusion",
+    "the UNet of LeRobot's diffusion policy gets image keypoints and the joints; the demonstrations "
+    "have no keyframes",
+)
+STOCK_DIFFUSION = Architecture(
+    "diffusion",
+    "LeRobot's diffusion policy: a small one-dimensional UNet denoises chunks of actions, given the "
+    "keypoints of a resnet18 for each picture and the joints",
+)
+_ROWS = (
+    KEYFRAME_ACT,
+    KEYPOINT_ACT,
+    STOCK_ACT,
+    KEYFRAME_DIFFUSION,
+    KEYPOINT_DIFFUSION,
+    STOCK_DIFFUSION,
+)
+_ARCHITECTURES = {row.name: row for row in _ROWS}
 
 
 def architecture(name: str) -> Architecture:

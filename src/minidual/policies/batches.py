@@ -22,7 +22,8 @@ LEROBOT_EPS = 1e-8
 """Added to std by LeRobot's processors."""
 STATISTICS_IMAGES = 512
 JOINT_STD_RAD = 0.3
-"""Usual standard deviation of a joint here; noise of joints in unknown units is scaled by it."""
+"""Usual standard deviation of a joint here; noise of inputs, and of joints in unknown units, is
+scaled by it."""
 
 Stats = dict[str, dict[str, Tensor]]
 Batch = dict[str, Tensor]
@@ -80,18 +81,19 @@ class BatchMaker:
     def __init__(self, demos: Demonstrations, config: TrainConfig, stats: Stats) -> None:
         self._demos = demos
         self._config = config
-        self._joints = demos.state_joints
+        self._noisy = [*demos.state_joints, *demos.state_inputs]
         self._noise_scale = self._scale_of_noise(demos, stats)
         self._stats: Stats = {}
         for key, values in stats.items():
             self._stats[key] = {name: value.to(config.device) for name, value in values.items()}
 
     def _scale_of_noise(self, demos: Demonstrations, stats: Stats) -> Array:
-        """Return one radian of state noise in the units of each joint (n,)."""
-        if demos.takes is None or demos.takes.radians:
-            return np.ones(len(self._joints))
+        """Return one radian of state noise in the units of each joint and input."""
         std = stats[STATE]["std"].numpy().astype(float)
-        return std[self._joints] / JOINT_STD_RAD
+        scale = std / JOINT_STD_RAD
+        if demos.takes is None or demos.takes.radians:
+            scale[demos.state_joints] = 1.0
+        return scale[self._noisy]
 
     def training(self, rows: Rows, rng: np.random.Generator) -> Batch:
         """Return an augmented batch."""
@@ -100,8 +102,8 @@ class BatchMaker:
         state = demos.state[rows].copy()
         in_approach = demos.phase[rows] == 0
         sigma = np.where(in_approach, config.state_noise_approach_rad, config.state_noise_rad)
-        noise = rng.standard_normal((len(rows), len(self._joints))) * sigma[:, None]
-        state[:, self._joints] += (noise * self._noise_scale).astype(np.float32)
+        noise = rng.standard_normal((len(rows), len(self._noisy))) * sigma[:, None]
+        state[:, self._noisy] += (noise * self._noise_scale).astype(np.float32)
         pictures = {
             camera: augment(demos.images[camera][rows], config.augment, rng)
             for camera in demos.cameras

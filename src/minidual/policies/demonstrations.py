@@ -14,6 +14,7 @@ from minidual.demos.lerobot_video import Image
 from minidual.demos.quality import grip_changes
 from minidual.demos.signals import DRIVERS
 from minidual.errors import DataError
+from minidual.policies.inputs import read_input
 from minidual.policies.takes import Takes, gripper_columns
 from minidual.robot.pair import GRIPPERS_N
 
@@ -30,7 +31,7 @@ class Demonstrations:
     Attributes:
         images: (N, H, W, 3) uint8 by camera.
         state, action: (N, dim): joints [rad], left then right, gripper openings; of another robot
-            what `takes` names.
+            what `takes` names. Behind them a state holds the inputs that `takes` counts.
         takes: What a policy trained on them takes; None: joints of two arms and two openings.
         driver: (N,) who drove, see `demos.signals.DRIVERS`; None: a leader, in every tick.
         episode_index: (N,) ascending.
@@ -77,8 +78,19 @@ class Demonstrations:
 
     @property
     def state_dim(self) -> int:
-        """Entries of a state."""
+        """Entries of a state, inputs included."""
         return int(self.state.shape[1])
+
+    @property
+    def inputs(self) -> dict[str, int]:
+        """Entries of each input behind joints and openings, by signal."""
+        return {} if self.takes is None else self.takes.inputs
+
+    @property
+    def state_inputs(self) -> list[int]:
+        """Entries of a state that are inputs."""
+        inputs_n = sum(self.inputs.values())
+        return list(range(self.state_dim - inputs_n, self.state_dim))
 
     @property
     def joints(self) -> list[int]:
@@ -87,8 +99,8 @@ class Demonstrations:
 
     @property
     def state_joints(self) -> list[int]:
-        """Entries of a state that are no openings."""
-        return _without(self.state_dim, self._openings("state"))
+        """Entries of a state that are neither openings nor inputs."""
+        return _without(self.state_dim, [*self._openings("state"), *self.state_inputs])
 
     @property
     def state_grippers(self) -> list[int]:
@@ -132,7 +144,8 @@ class Demonstrations:
         if len(self) == 0:
             raise DataError("the dataset holds no ticks", remedy="minidual teleop-record")
         is_own = self.takes is None or self.takes.radians
-        if is_own and (self.state.shape != self.action.shape or self.dim <= GRIPPERS_N):
+        measured = (len(self.state), self.state_dim - sum(self.inputs.values()))
+        if is_own and (measured != self.action.shape or self.dim <= GRIPPERS_N):
             raise DataError(
                 f"dataset column 'action' has shape {self.action.shape}, "
                 f"'state' {self.state.shape}",
@@ -155,16 +168,19 @@ def load_demonstrations(
     *,
     folder: Path | None = None,
     height: int | None = None,
+    inputs: Sequence[str] = (),
 ) -> Demonstrations:
     """Read a LeRobot dataset with `cameras` (all if empty).
 
     `folder` takes images for which memory is short; higher images than `height` are scaled down.
+    `inputs` are recorded signals that follow joints and openings in each state.
 
     Raises:
-        DataError: Missing or corrupt dataset.
-        UsageError: Unknown camera.
+        DataError: Missing or corrupt dataset, or one without a signal.
+        UsageError: Unknown camera, or a signal that no policy senses.
     """
     tables = read_dataset(root)
+    signals = {name: read_input(root, name) for name in inputs}
     images = {
         camera: tables.images(camera, progress, folder=folder, height=height)
         for camera in sorted(cameras or tables.cameras)
@@ -172,6 +188,7 @@ def load_demonstrations(
     takes = Takes(
         state=tables.names,
         action=tables.action_names,
+        inputs={name: values.shape[1] for name, values in signals.items()},
         rate_hz=tables.fps,
         robot=tables.info.robot,
         radians=is_own(root),
@@ -180,7 +197,7 @@ def load_demonstrations(
     takes = takes.with_cameras(sizes)
     return Demonstrations(
         images,
-        tables.state,
+        np.concatenate([tables.state, *signals.values()], axis=1),
         tables.action,
         tables.episode_index,
         takes,
@@ -209,8 +226,9 @@ def joined(parts: Sequence[Demonstrations]) -> Demonstrations:
     for part in parts[1:]:
         if part.dim != first.dim or part.state.shape[1] != first.state.shape[1]:
             raise DataError(
-                f"the datasets hold {first.dim} and {part.dim} entries an action; "
-                "corrections need the arms of the demonstrations",
+                f"the datasets hold {first.dim} and {part.dim} entries an action, and "
+                f"{first.state.shape[1]} and {part.state.shape[1]} a state; "
+                "corrections need the arms and the signals of the demonstrations",
             )
         for camera, images in first.images.items():
             other = part.images.get(camera)

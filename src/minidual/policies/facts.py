@@ -4,7 +4,7 @@ A network maps numbers to numbers: with other units, joints or rates it moves ar
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -48,6 +48,15 @@ class PolicyFacts:
     spreads: Mapping[str, Array] = field(default_factory=dict)
     missing: tuple[str, ...] = ()
 
+    def without_inputs(self, entries: int) -> "PolicyFacts":
+        """Return the same for joints and openings alone, the first `entries` of a state."""
+        middles = dict(self.middles)
+        spreads = dict(self.spreads)
+        for statistics in (middles, spreads):
+            if STATE in statistics:
+                statistics[STATE] = statistics[STATE][:entries]
+        return replace(self, middles=middles, spreads=spreads)
+
 
 class Place(NamedTuple):
     """Where a policy is to drive.
@@ -66,7 +75,7 @@ class Driver(NamedTuple):
 
     Attributes:
         cameras: (H, W) by camera.
-        state_dim, dim: Entries of a state and of an action.
+        state_dim, dim: Entries of a state without inputs, and of an action.
         facts: What is known of its training.
     """
 

@@ -22,7 +22,12 @@ from minidual.policies.checkpoint import (
 )
 from minidual.policies.facts import read_facts
 from minidual.policies.kinds import POLICIES, ChunkPolicy, PolicyKind, Training, TrainResult
-from minidual.policies.lerobot_policy import TorchChunkPolicy, TorchTickPolicy, Trained
+from minidual.policies.lerobot_policy import (
+    DenoisedChunkPolicy,
+    TorchChunkPolicy,
+    TorchTickPolicy,
+    Trained,
+)
 
 _REMEDY = "train it again with lerobot-train, or name another folder"
 _DOWNLOADS = ("pretrained_backbone_weights",)
@@ -43,21 +48,28 @@ class ForeignKind(PolicyKind):
     def load(self, folder: Path, device: str, threads: int | None) -> ChunkPolicy:
         """See `PolicyKind.load`.
 
-        A policy that looks back over several ticks, such as diffusion, keeps its own queues.
+        A policy that looks back over several ticks, such as most of diffusion, keeps its own queues.
         """
         ACT_KIND.require(device)
         with durable.reading(f"checkpoint {folder}", _REMEDY):
             config = _config(folder, device)
             trained = _trained(folder, config, device)
-            looks_back = int(getattr(config, "n_obs_steps", 1)) > 1
-            at_every_tick = looks_back or not hasattr(config, "chunk_size")
-            kind = TorchTickPolicy if at_every_tick else TorchChunkPolicy
-            policy = kind(trained, threads)
+            policy = _driving_class(config)(trained, threads)
             policy.facts = read_facts(folder)
             return policy
 
 
 FOREIGN = ForeignKind()
+
+
+def _driving_class(config: Any) -> type[TorchChunkPolicy]:
+    """Return how a policy is driven: in chunks, or at every tick."""
+    looks_back = int(getattr(config, "n_obs_steps", 1)) > 1
+    if config.type == "diffusion" and not looks_back:
+        return DenoisedChunkPolicy
+    if looks_back or not hasattr(config, "chunk_size"):
+        return TorchTickPolicy
+    return TorchChunkPolicy
 
 
 def _config(folder: Path, device: str) -> Any:

@@ -4,7 +4,9 @@ import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,9 +14,10 @@ from numpy.typing import NDArray
 
 from minidual.config.learning import TrainConfig
 from minidual.durable import read_json, reading, write_csv
-from minidual.errors import DataError
+from minidual.errors import DataError, EnvironmentMissingError
 from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.facts import PolicyFacts
+from minidual.policies.takes import read_takes
 from minidual.registry import Registry
 
 Image = NDArray[np.uint8]
@@ -34,6 +37,7 @@ class ChunkPolicy(ABC):
         answer_s: Wall time of its last answer that counts as simulated time: 0 for a policy of this
             process, for which the simulation waits.
         facts: What is known of its training.
+        inputs: {recorded signal: entries} that a state holds behind joints and openings.
     """
 
     cameras: Mapping[str, tuple[int, int]]
@@ -42,11 +46,17 @@ class ChunkPolicy(ABC):
     own_pace: bool = False
     answer_s: float = 0.0
     facts: PolicyFacts = PolicyFacts()
+    inputs: Mapping[str, int] = MappingProxyType({})
 
     @property
     def state_dim(self) -> int:
-        """Entries of a state."""
-        return self.dim
+        """Entries of a state, inputs included."""
+        return self.dim + self.inputs_n
+
+    @property
+    def inputs_n(self) -> int:
+        """Entries of all inputs."""
+        return sum(self.inputs.values())
 
     def reset(self) -> None:  # noqa: B027
         """Forget earlier observations: a new episode begins."""
@@ -62,13 +72,17 @@ class ChunkPolicy(ABC):
     ) -> NDArray[np.float64]:
         """Return actions (chunk_size, dim): joint targets [rad], then openings.
 
-        `images`: (H, W, 3). `state`: (state_dim,), as measured.
+        `images`: (H, W, 3). `state`: (state_dim,), as measured: joints, openings, inputs.
         """
 
 
 @dataclass(frozen=True)
 class LossRow:
-    """Means since the last row, and validation if it was due."""
+    """Means since the last row, and validation if it was due.
+
+    Attributes:
+        l1: Of `diffusion`, mean squared error of the denoised actions.
+    """
 
     step: int
     loss: float
@@ -148,10 +162,26 @@ POLICIES: Registry[PolicyKind] = Registry("policy", group="minidual.policies")
 # By name, because their modules import torch and LeRobot.
 POLICIES.add("spatial_act", "minidual.policies.act:SPATIAL_ACT")
 POLICIES.add("act", "minidual.policies.act:ACT_KIND")
+POLICIES.add("spatial_diffusion", "minidual.policies.diffusion:SPATIAL_DIFFUSION")
+POLICIES.add("diffusion", "minidual.policies.diffusion:DIFFUSION")
 _OTHERS: Registry[PolicyKind] = Registry("policy")
 """Policies that are not trained here: behind a socket, and whatever LeRobot can load."""
 _OTHERS.add("server", "minidual.policies.server:SERVER")
 _OTHERS.add("lerobot", "minidual.policies.foreign:FOREIGN")
+
+
+_LIBRARIES = dict.fromkeys(("spatial_diffusion", "diffusion"), ("diffusers", "diffusion"))
+"""Library and extra of this package, by policy: of those that need more than LeRobot does."""
+
+
+def require_library(policy: str) -> None:
+    """Raise EnvironmentMissingError if a row of POLICIES needs a library that is not installed."""
+    library, extra = _LIBRARIES.get(policy, ("", ""))
+    if library and find_spec(library) is None:
+        raise EnvironmentMissingError(
+            f"the policy '{policy}' needs the library '{library}', which is not installed",
+            remedy=f"pip install 'minidual[{extra}]'",
+        )
 
 
 def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -> ChunkPolicy:
@@ -170,7 +200,11 @@ def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -
         row = POLICIES[kind]
     else:
         row = _OTHERS[kind if kind in _OTHERS else "lerobot"]
-    return row.load(folder, device, threads)
+    policy = row.load(folder, device, threads)
+    takes = read_takes(folder)
+    if takes is not None:
+        policy.inputs = takes.inputs
+    return policy
 
 
 def write_loss_csv(curve: Sequence[LossRow], path: Path) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from minidual.demos.lerobot_reader import STATE, camera_name
 from minidual.errors import DataError
 from minidual.plant.cameras import CAMERAS
+from minidual.policies.draws import same_draws
 from minidual.policies.kinds import ChunkPolicy, Image
 
 
@@ -96,6 +97,20 @@ class TorchChunkPolicy(ChunkPolicy):
         return self._trained.postprocessor(actions)[0]
 
 
+class DenoisedChunkPolicy(TorchChunkPolicy):
+    """A LeRobot diffusion policy that reads one look and answers in chunks."""
+
+    def __init__(self, trained: Trained, threads: int | None) -> None:
+        super().__init__(trained, threads)
+        self.chunk_size = int(trained.policy.config.n_action_steps)
+
+    def _answer(self, batch: Any) -> torch.Tensor:
+        """See `TorchChunkPolicy`; equal looks have equal answers."""
+        look = {**batch, STATE: batch[STATE].unsqueeze(1)}
+        with same_draws():
+            return super()._answer(look)
+
+
 class TorchTickPolicy(TorchChunkPolicy):
     """A LeRobot policy that looks at every tick, such as diffusion, which reads the last ones."""
 
@@ -107,7 +122,9 @@ class TorchTickPolicy(TorchChunkPolicy):
 
     def _answer(self, batch: Any) -> torch.Tensor:
         """See `TorchChunkPolicy`; the policy queues what it predicts."""
-        return self._trained.postprocessor(self._trained.policy.select_action(batch))
+        with same_draws():
+            actions = self._trained.policy.select_action(batch)
+        return self._trained.postprocessor(actions)
 
 
 def _camera(key: str) -> str:

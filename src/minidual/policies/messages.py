@@ -28,6 +28,7 @@ class Hello(BaseModel):
         name: Of the policy, for tables and messages.
         cameras: {camera: (height, width)} of the pictures that it reads.
         dim: Numbers of a state and of an action: joints, then openings.
+        inputs: {signal: entries} that the state is to hold behind them.
         chunk_size: Actions of an answer.
         names: Of these numbers; null: not told.
         rate_hz: Of its actions; null: not told.
@@ -40,6 +41,7 @@ class Hello(BaseModel):
     name: str = Field(default="policy server", max_length=200)
     cameras: dict[str, tuple[_Size, _Size]] = Field(default={}, max_length=16)
     dim: _Size
+    inputs: dict[str, _Size] = Field(default={}, max_length=16)
     chunk_size: Annotated[int, Field(ge=1, le=10_000)]
     names: tuple[str, ...] | None = Field(default=None, max_length=4096)
     rate_hz: Annotated[float | None, Field(gt=0.0, le=1e4)] = None

@@ -10,6 +10,7 @@ from minidual.config.learning import DeployConfig
 from minidual.control.commands import ArbiterState, JointCommand
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
+from minidual.demos.sensed import SensedInputs
 from minidual.errors import DataError
 from minidual.plant.cameras import CAMERAS
 from minidual.plant.protocol import Plant, openings_of
@@ -64,16 +65,18 @@ def load_runtime(
 
 def driver_of(policy: ChunkPolicy) -> Driver:
     """Return the inputs, outputs and training facts of a policy."""
-    return Driver(policy.cameras, policy.state_dim, policy.dim, policy.facts)
+    measured = policy.state_dim - policy.inputs_n
+    return Driver(policy.cameras, measured, policy.dim, policy.facts.without_inputs(measured))
 
 
 def next_command(
     runtime: PolicyRuntime,
     plant: Plant,
     picture: Picture,
+    sensed: SensedInputs,
     sequence: int,
 ) -> JointCommand:
-    """Return the policy's command for the current images and state.
+    """Return the policy's command for the current images, state and inputs.
 
     Raises:
         DataError: An input does not fit; PolicyStoppedError: a camera fails, or see
@@ -81,7 +84,8 @@ def next_command(
     """
     images = {name: partial(_fresh_image, picture, name, plant) for name in runtime.cameras}
     measured_s = plant.time
-    action = runtime.act(images, np.concatenate([plant.q, openings_of(plant)]))
+    state = np.concatenate([plant.q, openings_of(plant), sensed.read()])
+    action = runtime.act(images, state)
     answer_age_s = plant.time - measured_s
     if answer_age_s > PICTURE_AGE_MAX_S:
         raise PolicyStoppedError("late_answer", age_s=answer_age_s, limit_s=PICTURE_AGE_MAX_S)
@@ -114,6 +118,9 @@ class PolicyPilot:
     """One trial of a policy.
 
     The stack's plant stands at the start, its rate is as recorded.
+
+    Raises:
+        UsageError: The policy reads what is not sensed here.
     """
 
     def __init__(
@@ -127,6 +134,7 @@ class PolicyPilot:
         self._broken: Exception | None = None
         self._runtime = runtime
         self._picture = picture
+        self._sensed = SensedInputs(stack, runtime.inputs)
         # A mode switch must drop the current chunk, or it would run on afterwards.
         self.stack.on_flush(lambda mode: runtime.reset())
         runtime.reset()
@@ -177,7 +185,13 @@ class PolicyPilot:
     def _propose(self) -> None:
         """Propose the policy's command; an error stops the arms, and this tick has its torque."""
         try:
-            command = next_command(self._runtime, self.stack.plant, self._picture, self._step + 1)
+            command = next_command(
+                self._runtime,
+                self.stack.plant,
+                self._picture,
+                self._sensed,
+                self._step + 1,
+            )
         except DataError as error:
             self.aborted = error.message
             self.stack.halt(SOURCE)

@@ -13,6 +13,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from minidual.demos.lerobot_features import STATE
 from minidual.errors import DataError, UsageError
 from minidual.policies.chunks import ChunkQueue
 from minidual.policies.demonstrations import Demonstrations
@@ -126,6 +127,19 @@ class PolicyRuntime:
         """Mean rate per second of wall time, or NaN; a busy machine lowers it."""
         return _mean_rate(self.times_s)
 
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """Entries of what a state holds behind joints and openings, by signal (`demos.sensed`)."""
+        return self.policy.inputs
+
+    def with_usual_inputs(self, measured: Array) -> Array:
+        """Return a state (state_dim,) of joints and openings, with inputs as they were on average."""
+        inputs = np.zeros(self.policy.inputs_n)
+        mean = self.policy.facts.middles.get(STATE)
+        if mean is not None and self.policy.inputs_n:
+            inputs = np.array(mean[-self.policy.inputs_n :], dtype=float)
+        return np.concatenate([measured, inputs])
+
     def reset(self) -> None:
         """Drop the queue (new episode or mode)."""
         self._queue.reset()
@@ -135,7 +149,7 @@ class PolicyRuntime:
     def act(self, images: Pictures, state: Array) -> Array:
         """Return this tick's action (dim,): joint targets [rad], then openings.
 
-        `state` is (dim,).
+        `state` is (state_dim,): joints and openings, then what `inputs` names.
 
         Raises:
             DataError: Missing or wrong input; PolicyStoppedError: what no clamp may hide.
@@ -144,7 +158,7 @@ class PolicyRuntime:
             chunk = self._infer(images, state)
             self._queue.add(chunk, self._delay_ticks())
         # Without a chunk the arms stay where they are.
-        action = self._queue.next(np.asarray(state, dtype=float))
+        action = self._queue.next(np.asarray(state, dtype=float)[: self.policy.dim])
         self._plausible.action(action)
         return np.clip(action, self._lower, self._upper)
 
@@ -165,7 +179,8 @@ class PolicyRuntime:
         return chunk
 
     def _set_limits(self, limits: Limits) -> None:
-        if np.shape(limits) != (2, self.joints_n) or self.policy.state_dim != self.policy.dim:
+        measured = self.policy.state_dim - self.policy.inputs_n
+        if np.shape(limits) != (2, self.joints_n) or measured != self.policy.dim:
             raise UsageError(
                 f"the checkpoint drives {self.joints_n} joints; the limits are {np.shape(limits)}",
                 remedy="choose the arm that was recorded: --set robot.arm=NAME",
@@ -216,9 +231,10 @@ class PolicyRuntime:
         array = np.asarray(state, dtype=np.float32)
         dim = self.policy.state_dim
         if array.shape != (dim,):
+            inputs = [f"{name} ({entries})" for name, entries in self.inputs.items()]
+            entries = [f"{self.joints_n} joints", f"{GRIPPERS_N} grippers", *inputs]
             raise DataError(
-                f"the state has shape {array.shape}, not ({dim},): "
-                f"{self.joints_n} joints, {GRIPPERS_N} grippers",
+                f"the state has shape {array.shape}, not ({dim},): {', '.join(entries)}",
             )
         bad = np.flatnonzero(~np.isfinite(array))
         if len(bad):

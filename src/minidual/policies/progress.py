@@ -156,6 +156,8 @@ def training_fingerprint(demos: Demonstrations, config: TrainConfig, seed: int, 
     """Return a hash of everything that determines the weights (images sampled)."""
     digest = hashlib.sha256()
     settings = config.model_dump(exclude=SETTINGS_WITHOUT_INFLUENCE)
+    if config.budget_s is not None:
+        del settings["steps"]  # counted when the training began, and kept in its progress
     layout = [(name, list(values.shape)) for name, values in policy.state_dict().items()]
     description = [seed, settings, layout, torch.__version__]
     digest.update(json.dumps(description, sort_keys=True).encode())

@@ -37,6 +37,7 @@ class ServerPolicy(ChunkPolicy):
         self.cameras = dict(hello.cameras)
         self.chunk_size = hello.chunk_size
         self.dim = hello.dim
+        self.inputs = dict(hello.inputs)
         self.name = hello.name
         self.facts = PolicyFacts(names=hello.names, rate_hz=hello.rate_hz, units=hello.units)
         self._task = ""

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -28,6 +29,7 @@ class Takes(StrictModel):
 
     Attributes:
         state, action: Entries of a state and of an action.
+        inputs: {recorded signal: entries} that the policy reads behind the state, in this order.
         cameras: (H, W) by feature, such as "observation.images.cam_high".
         rate_hz: Of its ticks.
         robot: Type of the robot, or "".
@@ -36,6 +38,7 @@ class Takes(StrictModel):
 
     state: tuple[str, ...] = Field(min_length=1)
     action: tuple[str, ...] = Field(min_length=1)
+    inputs: dict[str, Annotated[int, Field(ge=1, le=4096)]] = Field(default={})
     cameras: dict[str, tuple[int, int]] = Field(default={})
     rate_hz: float = Field(gt=0.0)
     robot: str = ""
@@ -49,8 +52,10 @@ class Takes(StrictModel):
     def text(self) -> list[str]:
         """Return a line for each input and output."""
         pictures = [f"{key} {height} x {width}" for key, (height, width) in self.cameras.items()]
+        inputs = [f"{name} ({entries})" for name, entries in self.inputs.items()]
         return [
             f"state of {len(self.state)}: {shortened(self.state)}",
+            *([f"inputs: {', '.join(inputs)}"] if inputs else []),
             f"action of {len(self.action)}: {shortened(self.action)}",
             f"pictures: {', '.join(pictures) or 'none'}",
             f"rate: {self.rate_hz:g} Hz",

@@ -3,6 +3,7 @@
 Steps draw from the stream (seed, step), so resuming gives the same weights.
 """
 
+import copy
 import math
 import time
 from collections.abc import Callable
@@ -24,9 +25,21 @@ from minidual.policies.progress import ProgressFile, TrainState, training_finger
 from minidual.policies.shares import Shares
 from minidual.policies.validation import Validation, ValidationErrors
 
+_WARM_STEPS = 2
+_TIMED_STEPS = 10
+"""Steps that tell how many fit into `train.budget_s`."""
 
-def train(build: Callable[[Stats], Trained], job: Training) -> tuple[TrainResult, Trained]:
-    """Train the policy built from statistics; see `PolicyKind.train`."""
+
+def train(
+    build: Callable[[Stats], Trained],
+    job: Training,
+    *,
+    draws_in_forward: bool = False,
+) -> tuple[TrainResult, Trained]:
+    """Train the policy built from statistics; see `PolicyKind.train`.
+
+    `draws_in_forward`: the policy draws random numbers which no `with_draws` draws for it.
+    """
     demos = job.demos
     config = job.config
     split = split_episodes(
@@ -35,12 +48,24 @@ def train(build: Callable[[Stats], Trained], job: Training) -> tuple[TrainResult
         stream(job.seed, "train.split"),
     )
     stats = dataset_statistics(demos, demos.rows_of(split.training), config.std_floor)
-    torch_threads = 1 if splits(config) else config.threads
+    shared = splits(config) and not draws_in_forward
+    shares_n = min(config.threads, config.batch_size) if shared else 1
+    torch_threads = 1 if shared else config.threads
     with torch.random.fork_rng(devices=_cuda_devices(config)), threads(torch_threads):
         torch.manual_seed(int(stream(job.seed, "train.weights", 0).integers(2**63)))
         trained = build(stats)
-        loop = _Loop(job, trained.policy, split, stats)
-        loop.resume()
+        fingerprint = training_fingerprint(demos, config, job.seed, trained.policy)
+        progress = ProgressFile(job.progress, fingerprint)
+        record = progress.read(config.device)
+        if config.budget_s is not None:
+            if record is None:
+                steps = _fitting_steps(job, trained.policy, split, stats, shares_n)
+            else:
+                steps = record["steps"]
+            job = job._replace(config=config.model_copy(update={"steps": steps}))
+        loop = _Loop(job, trained.policy, split, stats, progress, shares_n)
+        if record is not None:
+            loop.resume(record)
         try:
             loop.run(job.advance)
         except KeyboardInterrupt as stop:
@@ -69,8 +94,36 @@ def _cuda_devices(config: TrainConfig) -> list[int]:
     return []
 
 
+def _fitting_steps(
+    job: Training,
+    policy: Any,
+    split: Split,
+    stats: Stats,
+    shares_n: int,
+) -> int:
+    """Return how many steps fit into the budget, by timing a few on a copy of the policy."""
+    assert job.config.budget_s is not None
+    began = time.perf_counter()
+    progress = ProgressFile(None, "")
+    loop = _Loop(job, copy.deepcopy(policy), split, stats, progress, shares_n)
+    try:
+        step_s = loop.timed_step_s()
+    finally:
+        loop.close()
+    left_s = job.config.budget_s - (time.perf_counter() - began)
+    return max(1, int(left_s / step_s))
+
+
 class _Loop:
-    def __init__(self, job: Training, policy: Any, split: Split, stats: Stats) -> None:
+    def __init__(
+        self,
+        job: Training,
+        policy: Any,
+        split: Split,
+        stats: Stats,
+        progress: ProgressFile,
+        shares_n: int,
+    ) -> None:
         demos = job.demos
         config = job.config
         rows = demos.rows_of(split.training)
@@ -78,26 +131,21 @@ class _Loop:
         self._policy = policy
         self._split = split
         self._ticks = len(rows)
-        shares_n = min(config.threads, config.batch_size) if splits(config) else 1
         self._shares = Shares(policy, shares_n)
         maker = BatchMaker(demos, config, stats)
         self._batches = BatchStream(maker, demos, rows, config, job.seed)
         validation_rows = demos.rows_of(split.validation)
         self._validation = Validation(maker, validation_rows, stats, demos.joints)
         self.optimiser = Optimiser(policy, config)
-        fingerprint = training_fingerprint(demos, config, job.seed, policy)
-        self.progress = ProgressFile(job.progress, fingerprint)
+        self.progress = progress
         self._state = TrainState()
         self._consistent = True
         """Whether weights, moving average, optimiser and state are those of one step."""
         self._resumed_from_step = 0
         self._stopped_by = "steps"
 
-    def resume(self) -> None:
-        """Load the progress of this training if there is any."""
-        record = self.progress.read(self._config.device)
-        if record is None:
-            return
+    def resume(self, record: dict[str, Any]) -> None:
+        """Load the progress of this training."""
         self._policy.load_state_dict(record["weights"])
         self.optimiser.load_state_dict(record["optimiser"])
         self.optimiser.averaged.load_state_dict(record["averaged"])
@@ -113,6 +161,7 @@ class _Loop:
             return
         self.progress.write(
             {
+                "steps": self._config.steps,
                 "state": self._state.record(),
                 "weights": self._policy.state_dict(),
                 "averaged": self.optimiser.averaged.state_dict(),
@@ -151,6 +200,20 @@ class _Loop:
                 self._log()
                 self._stopped_by = "time limit"
                 return
+
+    def timed_step_s(self) -> float:
+        """Return the time of a step, with its share of validations; the weights change."""
+        self._policy.train()
+        for step in range(_WARM_STEPS):
+            self._step(step)
+        began = time.perf_counter()
+        for step in range(_WARM_STEPS, _WARM_STEPS + _TIMED_STEPS):
+            self._step(step)
+        stepped = time.perf_counter()
+        self._validate()
+        validation_s = time.perf_counter() - stepped
+        step_s = (stepped - began) / _TIMED_STEPS
+        return step_s + validation_s / self._config.validate_every_steps
 
     def _step(self, step: int) -> float:
         """Update the weights once; return the loss."""

@@ -5,7 +5,8 @@ from minidual.demos.leader import LEADERS
 from minidual.errors import ConfigError, UsageError
 from minidual.motion.search import PLANNERS
 from minidual.motion.timing_engines import TIMING_ENGINES
-from minidual.policies.kinds import POLICIES
+from minidual.policies.inputs import signals_remedy
+from minidual.policies.kinds import POLICIES, require_library
 from minidual.robot.pair import robot_from
 from minidual.stages.plants import simulator_only
 from minidual.tasks.catalogue import make_task, tasks_of
@@ -53,7 +54,11 @@ def check_together(config: Config) -> None:
 
 
 def check_leader(config: Config) -> None:
-    """Raise UsageError for an unknown leader, another plant, or conditions that cannot be recorded."""
+    """Check the leader, the plant, the conditions, and the signals that the policy is to read.
+
+    Raises:
+        UsageError: One is unknown, or cannot be recorded.
+    """
     simulator_only(config, "teleop-record")
     LEADERS[config.teleop.leader]
     if config.teleop.correct and config.teleop.leader in _NO_CORRECTORS:
@@ -63,6 +68,18 @@ def check_leader(config: Config) -> None:
             remedy="--set teleop.leader=corrector, browser, gamepad, keyboard, gello or network",
         )
     rooms(config.teleop.conditions)
+    _check_signals(config)
+
+
+def _check_signals(config: Config) -> None:
+    unrecorded = [name for name in config.train.inputs if name not in config.teleop.signals]
+    if unrecorded:
+        recorded = ", ".join(config.teleop.signals) or "none"
+        raise ConfigError(
+            f"train.inputs asks for {', '.join(unrecorded)}; the signals that episodes hold "
+            f"(teleop.signals) are {recorded}",
+            remedy=signals_remedy([*config.teleop.signals, *unrecorded]),
+        )
 
 
 def check_policy(config: Config) -> None:
@@ -70,9 +87,10 @@ def check_policy(config: Config) -> None:
 
     Raises:
         UsageError: Unknown policy.
-        EnvironmentMissingError: The device is missing.
+        EnvironmentMissingError: The device is missing, or a library.
     """
     POLICIES.names([config.train.policy])
+    require_library(config.train.policy)
     _check_device(config, config.train.device)
 
 

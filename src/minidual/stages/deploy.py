@@ -247,7 +247,7 @@ def _looks_check(context: StageContext, checkpoint: Path, trial: Trial) -> Check
     runtime = load_runtime(checkpoint, config.deploy, bench.world.robot)
     world = bench.world
     world.reset(poses=trial.start)
-    state = np.concatenate([world.q, world.gripper])
+    state = runtime.with_usual_inputs(np.concatenate([world.q, world.gripper]))
     rng = stream(context.seed, "deploy/looks")
     with Camera.recorded(world.model, config.scene.camera) as camera:
         pictures = {name: camera.picture(world.data, name) for name in runtime.cameras}
@@ -284,7 +284,7 @@ def measure_inference(checkpoint: Path, context: StageContext) -> InferenceRates
     robot = robot_from(context.config.robot)
     runtime = load_runtime(checkpoint, context.config.deploy, robot)
     rng = stream(context.seed, "deploy/inference")
-    state = np.concatenate([robot.home, np.ones(2)])
+    state = runtime.with_usual_inputs(np.concatenate([robot.home, np.ones(2)]))
     for _ in range(_INFERENCES_N):
         pictures = {
             name: rng.integers(0, 255, (*size, 3), dtype=np.uint8)

@@ -17,6 +17,7 @@ from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, ToolContext, ToolResult, markdown
 from minidual.policies.demonstrations import load_demonstrations
 from minidual.policies.policy import exercise_checkpoint
+from minidual.policies.takes import read_takes
 from minidual.robot.pair import robot_from
 from minidual.stages.train_act import action_checks
 from minidual.stages.troubles.diagnosis import Fault, as_lines, diagnose, level_of
@@ -190,7 +191,13 @@ def policy(context: ToolContext) -> Examination:
     checkpoint = context.run_folder / "train-act" / "checkpoint"
     if not dataset.is_dir():
         return Examination("", [])
-    demos = load_demonstrations(dataset, train.cameras, folder=context.output)
+    takes = read_takes(checkpoint)
+    demos = load_demonstrations(
+        dataset,
+        train.cameras,
+        folder=context.output,
+        inputs=() if takes is None else tuple(takes.inputs),
+    )
     if not checkpoint.is_dir():
         return Examination(f"dataset of {len(demos)} ticks", [])
     robot = robot_from(context.config.robot)

@@ -112,9 +112,20 @@ def run(context: StageContext) -> StageResult:
     config = context.config.train
     dataset = context.upstream["teleop-record"] / "lerobot"
     with context.progress.task("reading frames") as task:
-        demos = load_demonstrations(dataset, config.cameras, task.advance, folder=context.folder)
+        demos = load_demonstrations(
+            dataset,
+            config.cameras,
+            task.advance,
+            folder=context.folder,
+            inputs=config.inputs,
+        )
         corrections = [
-            load_demonstrations(durable.expanded(folder), config.cameras, task.advance)
+            load_demonstrations(
+                durable.expanded(folder),
+                config.cameras,
+                task.advance,
+                inputs=config.inputs,
+            )
             for folder in config.corrections
         ]
         if corrections:
@@ -183,8 +194,9 @@ def _train(
     config = context.config.train
     folder = _training_folder(context, k)
     folder.mkdir(exist_ok=True)
+    steps = config.steps if config.budget_s is None else None
     description = f"training steps, seed {k + 1}" if k else "training steps"
-    with context.progress.task(description, config.steps) as task:
+    with context.progress.task(description, steps) as task:
 
         def advance(steps: int, loss: float) -> None:
             task.advance(steps, f"loss {loss:.4f}")
@@ -214,6 +226,7 @@ def _write_records(
         "architecture": result.architecture or context.config.train.policy,
         "seed": seed,
         "cameras": cameras,
+        "inputs": demos.inputs,
         "inference_hz": emitted.inference_hz,
     }
     return write_train_json(result, extra, folder / "train.json")

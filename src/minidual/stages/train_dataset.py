@@ -92,6 +92,7 @@ def train_dataset(context: ToolContext) -> ToolResult:
             bar.advance,
             folder=own.output,
             height=_height(options.get("height")),
+            inputs=own.config.train.inputs,
         )
     for note in _notes(demos):
         own.progress.note(note)
@@ -161,7 +162,8 @@ def _trained(context: ToolContext, demos: Demonstrations) -> TrainResult:
     config = context.config.train
     place = context.folder.with_name(f"{context.folder.name}.progress")
     durable.make_folder(place.parent)
-    with context.progress.task("training steps", config.steps) as bar:
+    steps = config.steps if config.budget_s is None else None
+    with context.progress.task("training steps", steps) as bar:
 
         def advance(steps: int, loss: float) -> None:
             bar.advance(steps, f"loss {loss:.4f}")

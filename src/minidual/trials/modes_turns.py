@@ -12,6 +12,7 @@ from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, TrajectoryCommand
 from minidual.control.kernels import minimum_jerk
 from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
+from minidual.demos.sensed import SensedInputs
 from minidual.errors import ExitCode, MinidualError
 from minidual.motion.api import Planner, PlanResult
 from minidual.plant.lifecycle import runs_on
@@ -225,6 +226,7 @@ def policy(
     """
     plant = stack.plant
     stack.on_flush(lambda mode: runtime.reset())
+    sensed = SensedInputs(stack, runtime.inputs)
 
     def drive() -> Steps:
         runtime.reset()
@@ -235,7 +237,7 @@ def policy(
         while plant.time - began_s < task.time_limit_s and plant.time - unfinished_s < _QUIET_S:
             if stack.tick_next:
                 sequence += 1
-                stack.propose("policy", next_command(runtime, plant, picture, sequence))
+                stack.propose("policy", next_command(runtime, plant, picture, sensed, sequence))
             yield
             judge.observe(truth)
             if not judge.finished:

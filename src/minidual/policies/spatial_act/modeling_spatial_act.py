@@ -215,8 +215,24 @@ class KeyframeReader(nn.Module):
         return keypoints, self.linear(keypoints) + self.hidden(keypoints)
 
 
-class SpatialActModel(nn.Module):
-    """Keyframe reader and transformer."""
+class Glance(NamedTuple):
+    """What pictures tell.
+
+    Attributes:
+        keyframes: (B, K, A).
+        token: What the decoder of actions gets of them (B, K A), or the keypoints (B, 3 P).
+    """
+
+    keyframes: Tensor
+    token: Tensor
+
+
+class KeyframeModel(nn.Module):
+    """Keyframe reader, and what a decoder of actions gets from it.
+
+    Attributes:
+        decoder_inputs: Features of the decoder: state and token.
+    """
 
     def __init__(self, config: SpatialActConfig) -> None:
         super().__init__()
@@ -230,25 +246,22 @@ class SpatialActModel(nn.Module):
             if feature.type is not FeatureType.VISUAL
         }
         inputs[OBS_ENV_STATE] = PolicyFeature(type=FeatureType.ENV, shape=(token_dim,))
-        self.act = ACT(config.transformer(inputs))
+        self.decoder_inputs = inputs
 
-    def forward(
+    def glance(
         self,
         batch: dict[str, Tensor],
         filtered: Callable[[Tensor], Tensor] = _same,
-    ) -> ModelOutput:
-        """Predict from a batch; `filtered` maps the keyframes (B, K A) to those that are used."""
+    ) -> Glance:
+        """Read pictures; `filtered` maps the keyframes (B, K A) to those that are used."""
         keypoints, flat = self.backbone(batch)
         keyframes = filtered(flat).unflatten(1, self.backbone.shape)
-        # The transformer sees no keypoints: late ones follow the hands, and it would follow them.
+        # The decoder sees no keypoints: late ones follow the hands, and it would follow them.
         token = self._keyframe_token(batch, keyframes) if keyframes.numel() else keypoints
-        inner = {key: batch[key] for key in (OBS_STATE, ACTION, "action_is_pad") if key in batch}
-        inner[OBS_ENV_STATE] = token
-        actions, latent = self.act(inner)
-        return ModelOutput(actions, latent, keyframes)
+        return Glance(keyframes, token)
 
     def _keyframe_token(self, batch: dict[str, Tensor], keyframes: Tensor) -> Tensor:
-        """Return the keyframes (B, K A) that the transformer gets.
+        """Return the keyframes (B, K A) that the decoder gets.
 
         In training these are the true ones: with predicted ones, with their errors, it would learn
         to stay short of them. Past ones are 0: else nothing tells the end of a handover from the
@@ -263,6 +276,26 @@ class SpatialActModel(nn.Module):
         return token.flatten(1)
 
 
+class SpatialActModel(KeyframeModel):
+    """Keyframe reader and transformer."""
+
+    def __init__(self, config: SpatialActConfig) -> None:
+        super().__init__(config)
+        self.act = ACT(config.transformer(self.decoder_inputs))
+
+    def forward(
+        self,
+        batch: dict[str, Tensor],
+        filtered: Callable[[Tensor], Tensor] = _same,
+    ) -> ModelOutput:
+        """Predict from a batch; `filtered` as in `glance`."""
+        glance = self.glance(batch, filtered)
+        inner = {key: batch[key] for key in (OBS_STATE, ACTION, "action_is_pad") if key in batch}
+        inner[OBS_ENV_STATE] = glance.token
+        actions, latent = self.act(inner)
+        return ModelOutput(actions, latent, glance.keyframes)
+
+
 class SpatialActPolicy(ACTPolicy):
     """The LeRobot policy `spatial_act`."""
 
@@ -273,8 +306,12 @@ class SpatialActPolicy(ACTPolicy):
         PreTrainedPolicy.__init__(self, config)  # ACTPolicy would build a resnet
         config.validate_features()
         self.config: SpatialActConfig = config
-        self.model = SpatialActModel(config)
+        self.model: Any = self.make_model()
         self.reset()
+
+    def make_model(self) -> KeyframeModel:
+        """Return the new network of the configuration."""
+        return SpatialActModel(self.config)
 
     def reset(self) -> None:
         """Forget earlier observations: a new episode."""
@@ -331,19 +368,20 @@ class SpatialActPolicy(ACTPolicy):
         loss = _masked_l1(output.actions, batch[ACTION], ~batch["action_is_pad"])
         parts = {"l1_loss": float(loss.detach())}
         if "keyframe" in batch:
-            keyframe_loss = _masked_l1(
-                output.keyframes,
-                batch["keyframe"],
-                batch["keyframe_is_valid"],
-            )
-            parts["keyframe_loss"] = float(keyframe_loss.detach())
-            loss = loss + keyframe_loss
+            of_keyframes = keyframe_loss(output.keyframes, batch)
+            parts["keyframe_loss"] = float(of_keyframes.detach())
+            loss = loss + of_keyframes
         mean, log_variance = output.latent
         if self.config.use_vae and mean is not None and log_variance is not None:
             divergence = _divergence(mean, log_variance)
             parts["kld_loss"] = float(divergence.detach())
             loss = loss + self.config.kl_weight * divergence
         return loss, parts
+
+
+def keyframe_loss(keyframes: Tensor, batch: dict[str, Tensor]) -> Tensor:
+    """Return the mean absolute error of the keyframes to come."""
+    return _masked_l1(keyframes, batch["keyframe"], batch["keyframe_is_valid"])
 
 
 def _divergence(mean: Tensor, log_variance: Tensor) -> Tensor:
