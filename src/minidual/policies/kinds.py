@@ -170,7 +170,10 @@ _OTHERS.add("server", "minidual.policies.server:SERVER")
 _OTHERS.add("lerobot", "minidual.policies.foreign:FOREIGN")
 
 
-_LIBRARIES = dict.fromkeys(("spatial_diffusion", "diffusion"), ("diffusers", "diffusion"))
+_LIBRARIES: dict[str, tuple[str, str]] = {
+    "spatial_diffusion": ("diffusers", "diffusion"),
+    "diffusion": ("diffusers", "diffusion"),
+}
 """Library and extra of this package, by policy: of those that need more than LeRobot does."""
 
 

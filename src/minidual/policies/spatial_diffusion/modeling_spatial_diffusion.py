@@ -62,7 +62,8 @@ class SpatialDiffusionModel(KeyframeModel):
         rest = actions[:, -1:].expand(-1, self._horizon - self._chunk, -1)
         clean = torch.cat([actions, rest], dim=1)
         level = batch[_LEVEL]
-        noisy = self.diffusion.noise_scheduler.add_noise(clean, batch[_NOISE], level)
+        schedule: Any = self.diffusion.noise_scheduler
+        noisy = schedule.add_noise(clean, batch[_NOISE], level)
         condition = torch.cat([batch[OBS_STATE], token], dim=-1)
         return self.diffusion.unet(noisy, level, global_cond=condition)[:, : self._chunk]
 
