@@ -17,6 +17,7 @@ from collections.abc import Iterator  # noqa: E402
 from typing import TYPE_CHECKING  # noqa: E402
 
 import pytest  # noqa: E402
+from hypothesis import settings  # noqa: E402
 
 if TYPE_CHECKING:
     import mujoco
@@ -24,6 +25,10 @@ if TYPE_CHECKING:
     from minidual.config.scene import SceneConfig
     from minidual.plant.world import World
     from minidual.robot.kinematics import Kinematics
+
+
+settings.register_profile("any machine", deadline=None)  # no test depends on how fast one is
+settings.load_profile("any machine")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -295,7 +295,7 @@ def test_values_typed_on_the_command_line(text, value):
 quantities = st.floats(1e-15, 9e18) | st.floats(-9e18, -1e-15) | st.just(0.0)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(quantities | st.integers(-(10**12), 10**12))
 def test_numbers_survive_the_command_line(value):
     assert parse_override(f"a.b={value!r}").value == value
@@ -307,7 +307,7 @@ words = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True).filter(
 )
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.dictionaries(words, scalars | words | st.lists(scalars, max_size=3), max_size=5))
 def test_what_yaml_dumps_is_read_back(tree):
     """Text such as "inf" is the exception: read as a number it would be no finite one."""

@@ -176,7 +176,7 @@ switches = st.tuples(st.just("switch"), st.sampled_from(SOURCES), offsets)
 histories = st.lists(st.one_of(proposals, ticks, requests, bursts, switches), max_size=40)
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=250)
 @given(histories)
 def test_one_source_bounded_steps_and_never_silence(events: list[Event]) -> None:
     witness = Witness(CommandArbiter(DUAL_PANDA, CONFIG))
@@ -188,7 +188,7 @@ def test_one_source_bounded_steps_and_never_silence(events: list[Event]) -> None
 def test_random_histories_reach_every_state() -> None:
     seen: Counter[ArbiterState] = Counter()
 
-    @settings(max_examples=150, deadline=None, derandomize=True, database=None)
+    @settings(max_examples=150, derandomize=True, database=None)
     @given(histories)
     def collect(events: list[Event]) -> None:
         witness = Witness(CommandArbiter(DUAL_PANDA, CONFIG))
@@ -200,7 +200,7 @@ def test_random_histories_reach_every_state() -> None:
     assert seen[ArbiterState.ACTIVE] > 40
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(histories)
 def test_the_same_history_gives_the_same_output(events: list[Event]) -> None:
     first = Witness(CommandArbiter(DUAL_PANDA, CONFIG))

@@ -332,7 +332,7 @@ histories = st.lists(st.one_of(events.map(lambda e: [e]), scripts), max_size=10)
 )
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(histories)
 def test_one_source_no_jump_and_never_silence(history: list[Event]) -> None:
     """The witness asserts at every step; what is asserted here is that there were steps, up to the last torque."""
@@ -345,7 +345,7 @@ def test_one_source_no_jump_and_never_silence(history: list[Event]) -> None:
 def test_random_histories_reach_all_that_there_is() -> None:
     seen: Counter[Any] = Counter()
 
-    @settings(max_examples=150, deadline=None, derandomize=True, database=None)
+    @settings(max_examples=150, derandomize=True, database=None)
     @given(histories)
     def collect(history: list[Event]) -> None:
         witness = Witness()
@@ -395,7 +395,7 @@ def test_hands_that_leave_an_imagined_object_stop_once_by_its_name() -> None:
     assert np.abs(witness.plant.v).max() < 0.05
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(histories)
 def test_the_same_history_gives_the_same_torques(history: list[Event]) -> None:
     first = Witness()

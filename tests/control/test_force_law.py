@@ -236,7 +236,7 @@ class TestOracle:
 
 class TestGrasp:
     @given(triples, triples, triples, triples, triples)
-    @settings(deadline=None, max_examples=50)
+    @settings(max_examples=50)
     def test_the_closed_form_is_the_distribution(
         self,
         r_l: np.ndarray,
@@ -262,7 +262,7 @@ class TestGrasp:
         assert np.allclose(G @ f, w, atol=1e-9)
 
     @given(triples, triples, triples)
-    @settings(deadline=None, max_examples=50)
+    @settings(max_examples=50)
     def test_a_squeeze_does_no_work_on_any_rigid_motion(
         self,
         r_l: np.ndarray,

@@ -24,7 +24,7 @@ def play(targets, start=HOME, **options):
 
 
 @given(seed=st.integers(0, 10_000), hold=st.sampled_from([1, 5, 20, 100]))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_whatever_is_asked_position_velocity_and_acceleration_stay_bounded(seed, hold):
     rng = np.random.default_rng(seed)
     targets = np.repeat(rng.uniform(2 * Q_LOWER, 2 * Q_UPPER, (400 // hold, DOF)), hold, axis=0)

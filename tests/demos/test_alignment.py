@@ -46,7 +46,7 @@ def test_it_opens_when_each_joint_agrees_and_names_the_one_that_does_not(
     np.testing.assert_array_equal(gate.admit(with_joint(10, 0.2)), with_joint(10, 0.2))
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.lists(st.integers(-3, 3), min_size=14, max_size=14))
 def test_encoders_that_count_from_another_turn_agree(turns: list[int]) -> None:
     gate = AlignmentGate(DUAL_PANDA, MirrorConfig())

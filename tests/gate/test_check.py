@@ -23,7 +23,7 @@ OPERATORS = {
 finite = st.floats(allow_nan=False, allow_infinity=False, width=32)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(finite, st.sampled_from(sorted(OPERATORS)), finite)
 def test_result_is_the_comparison(observed, op, limit):
     assert Check("x", observed, op, limit).passed is OPERATORS[op](observed, limit)
@@ -69,7 +69,7 @@ def test_no_margin_is_minus_zero():
     assert [str(margin) for margin in margins] == ["0.0"] * 5
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(finite, st.sampled_from(["<", "<=", ">", ">="]), finite)
 def test_sign_of_the_margin_agrees_with_the_result(observed, op, limit):
     check = Check("x", observed, op, limit)

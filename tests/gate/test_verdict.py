@@ -55,7 +55,7 @@ checks_strategy = st.lists(
 ).map(lambda rows: tuple(Check(f"c{i}", *row) for i, row in enumerate(rows)))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(checks_strategy)
 def test_pass_if_and_only_if_all_limited_checks_pass_and_there_is_one(checks):
     limited = [check for check in checks if check.op is not None]
@@ -64,7 +64,7 @@ def test_pass_if_and_only_if_all_limited_checks_pass_and_there_is_one(checks):
     assert (status == "error") is (not limited)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(checks_strategy)
 def test_file_round_trip_keeps_everything(tmp_path_factory, checks):
     path = tmp_path_factory.mktemp("v") / "verdict.json"

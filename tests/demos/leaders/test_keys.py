@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from minidual.demos.leaders.keys import ESCAPE_WAIT_S, STOP, KeyParser
@@ -88,7 +88,6 @@ def test_a_paste_that_never_ends_gives_the_keys_back_after_a_silence() -> None:
     assert parser.feed(b"w", 2.1) == ["w"]
 
 
-@settings(deadline=None)
 @given(st.data())
 def test_random_splits_give_the_same_events(data: st.DataObject) -> None:
     pieces = data.draw(st.lists(st.sampled_from(PIECES) | st.binary(max_size=4), max_size=8))
@@ -102,7 +101,6 @@ def test_random_splits_give_the_same_events(data: st.DataObject) -> None:
     assert all(event == STOP or len(event) == 1 for event in whole)
 
 
-@settings(deadline=None)
 @given(st.lists(st.sampled_from(SEQUENCES), max_size=6), st.lists(st.integers(0, 99), max_size=5))
 def test_known_sequences_in_any_pieces_neither_move_nor_stop(
     sequences: list[bytes],

@@ -68,7 +68,7 @@ def driven(
     return least
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(
     network=networks,
     stiffness_n_m=st.floats(100.0, 90e3),
@@ -92,7 +92,7 @@ def test_without_controllers_the_link_makes_energy() -> None:
     assert driven(link, 20e3, 0.01, 0.05) < -1.0
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=3)
 @given(network=networks, seed=st.integers(0, 1000))
 def test_sums_of_energy_never_fall(network: SimulatedNetwork, seed: int) -> None:
     """Under loss and reordering too, `received` included."""
