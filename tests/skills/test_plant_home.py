@@ -10,7 +10,7 @@ from minidual.motion.api import Planner
 from minidual.plant.lifecycle import Connection
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA
-from minidual.skills.plant_drive import DriveError
+from minidual.skills.plant_drive import DriveError, PlantDrive
 from minidual.skills.plant_home import bring_home, lifted
 from tests.support.position_plant import Follower, gentle
 
@@ -74,6 +74,20 @@ def test_arms_that_do_not_come_to_rest_are_not_led() -> None:
     with pytest.raises(DriveError, match=r"left_panda_joint1 still moves at 0\.050 rad/s"):
         bring_home(Connection("tests:arms", plant).open(), Config(), Planner(), 1)
     assert plant.targets[1:] == []
+
+
+def test_a_drive_settles_where_its_last_target_is() -> None:
+    plant = gentle(DUAL_PANDA)
+    drive = PlantDrive(Connection("tests:arms", plant).open(), Config())
+    drive.begin()
+    target = drive.q.copy()
+    for _ in range(10):
+        target = target + 0.004
+        drive.step(target)
+    assert np.abs(plant.v).max() > 0.1
+    drive.settle()
+    assert np.abs(plant.v).max() < 0.02
+    assert plant.q == pytest.approx(target, abs=1e-3)
 
 
 def test_hands_at_the_table_go_straight_up_first() -> None:

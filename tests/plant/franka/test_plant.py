@@ -136,6 +136,7 @@ def test_a_recovery_waits_for_the_state_that_shows_it(
 def test_clocks_are_compared_after_both_arms_have_answered(cell: fake_franky.Cell) -> None:
     cell.pause_ms = 80.0  # while the right arm connects
     with made() as opened:
+        opened.plant.catch_up()
         left_s, right_s = opened.plant.stamps_s
         assert abs(left_s - right_s) < 0.005
 
