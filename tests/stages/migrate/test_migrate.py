@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from minidual.plant.lifecycle import Connection
 from minidual.plant.model import build_spec
 from minidual.robot.pair import DUAL_PANDA
 from minidual.skills.plant_drive import PlantDrive
-from minidual.stages.migrate import cameras, rows
+from minidual.stages.migrate import cameras, rows, steps
 from minidual.stages.migrate.measured import StepMeasurements, Worst, checks_of
 from minidual.stages.migrate.meshes import small_meshes
 from minidual.stages.migrate.steps import STEPS, measure_step, shift_s, signatures
@@ -87,6 +88,28 @@ def test_each_step_passes_on_a_sound_plant(step) -> None:
     checks = checks_of(m, step.rows)
     assert [check.name for check in checks if check.passed is False] == []
     assert logs
+
+
+def test_arms_that_are_driven_wait_for_no_computation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plant's clock runs on while meshes are compared, cameras calibrated or a twin simulated."""
+    plant = Follower()
+    run_on: list[str] = []
+
+    def slow(name: str, function: Callable[..., object]) -> Callable[..., object]:
+        def late(*args: object) -> object:
+            run_on.append(name)
+            plant._ticks += round(0.6 / plant.dt)
+            return function(*args)
+
+        return late
+
+    monkeypatch.setattr(steps, "small_meshes", slow("meshes", steps.small_meshes))
+    monkeypatch.setattr(rows, "calibration", slow("cameras", rows.calibration))
+    monkeypatch.setattr(steps, "connection", slow("twin", steps.connection))
+    for step in (STEPS[0], STEPS[-1]):
+        m, _ = measure_step(step, Connection(ADDRESS, plant).open(), Config())
+        assert m.stops == []
+    assert run_on == ["meshes", "cameras", "twin"]
 
 
 @pytest.mark.parametrize(

@@ -185,25 +185,53 @@ def measure_step(
     if m.faults:
         return m, logs
     try:
+        _examine(step, link, config, boards, m)
         drive = PlantDrive(link, config, step.speed, step.source)
         drive.begin()
-        home = drive.q.copy()
+        work = _Work(step, drive, drive.q.copy(), m, logs, config)
         for name in step.rows:
-            measure = _MEASURES.get(name)
+            measure = _DRIVEN.get(name)
             if measure is not None:
-                measure(_Work(step, drive, home, m, logs, config, boards))
+                measure(work)
+        _stop(work)
+        if "statistics" in step.rows:
+            _statistics(work)
         m.jitter_s = rows.timing(logs, link.plant.dt)
         m.speed = rows.speeds(logs, drive.robot, step.speed)
-        _stop(drive, home, step, m)
     except (ReflexError, MinidualError) as error:
         m.stops.append(error.message)
     m.faults = rows.faults_of(link)
     return m, logs
 
 
+def _examine(
+    step: Step,
+    link: Connection,
+    config: Config,
+    boards: object,
+    m: StepMeasurements,
+) -> None:
+    """Measure the rows that need no arm, before the arms are taken: they take long.
+
+    Arms that are driven need a command in every period.
+    """
+    if "meshes" in step.rows:
+        m.meshes_small = small_meshes(link.plant.robot)
+    if "cameras" in step.rows:
+        _calibrate(link, config, boards, m)
+
+
+def _calibrate(link: Connection, config: Config, boards: object, m: StepMeasurements) -> None:
+    """Calibrate; hardware needs pictures that were taken."""
+    if boards is None and link.place == "hardware":
+        m.focal = Worst(where="no pictures: add --boards FOLDER")
+        return
+    rows.calibration(m, config, link.plant.robot, boards)
+
+
 @dataclass(frozen=True)
 class _Work:
-    """Inputs and results of a row's measurement."""
+    """Inputs and results of a driven row's measurement."""
 
     step: Step
     drive: PlantDrive
@@ -211,7 +239,6 @@ class _Work:
     m: StepMeasurements
     logs: list[Driven]
     config: Config
-    boards: object
 
 
 def _controllers(work: _Work) -> None:
@@ -246,18 +273,6 @@ def _gains(work: _Work) -> None:
         work.home,
         work.step.arms,
     )
-
-
-def _meshes(work: _Work) -> None:
-    work.m.meshes_small = small_meshes(work.drive.robot)
-
-
-def _cameras(work: _Work) -> None:
-    """Calibrate; hardware needs pictures that were taken."""
-    if work.boards is None and work.drive.connection.place == "hardware":
-        work.m.focal = Worst(where="no pictures: add --boards FOLDER")
-        return
-    rows.calibration(work.m, work.config, work.drive.robot, work.boards)
 
 
 def _hands(work: _Work) -> None:
@@ -335,7 +350,10 @@ def _workspace(work: _Work) -> None:
 
 
 def _statistics(work: _Work) -> None:
-    """Record a motion; compare its statistics with the simulation's."""
+    """Record a motion; compare its statistics with the simulation's.
+
+    Nothing may drive the arms afterwards: they stand without commands while the simulation runs.
+    """
     log, simulated = _beside_simulation(work)
     work.m.statistics = rows.statistics(log, simulated.q, work.drive.robot)
     _torques(work, log)
@@ -372,34 +390,32 @@ def _posture(robot: Robot, home: Array) -> Array:
     return home + 0.2 * rows.inward(robot, home) if posture is None else np.concatenate(posture)
 
 
-def _stop(drive: PlantDrive, home: Array, step: Step, m: StepMeasurements) -> None:
+def _stop(work: _Work) -> None:
     """Row 11: stop in a swing, recover, go back."""
+    drive = work.drive
     amplitudes = np.zeros(drive.robot.dof)
-    joints = rows.driven_joints(drive.robot, step.arms)
-    amplitudes[joints] = rows.SWING_RAD * rows.inward(drive.robot, home)[joints]
+    joints = rows.driven_joints(drive.robot, work.step.arms)
+    amplitudes[joints] = rows.SWING_RAD * rows.inward(drive.robot, work.home)[joints]
     times_s = np.arange(1, round(1.0 / drive.plant.dt) + 1) * drive.plant.dt
-    drive.follow(swing(home, amplitudes, rows.SWING_HZ, times_s))
-    m.rest_s = drive.stop_and_rest("migration")
+    drive.follow(swing(work.home, amplitudes, rows.SWING_HZ, times_s))
+    work.m.rest_s = drive.stop_and_rest("migration")
     drive.recover()
-    drive.move(home)
+    drive.move(work.home)
 
 
-_MEASURES: dict[str, Callable[[_Work], None]] = {
+_DRIVEN: dict[str, Callable[[_Work], None]] = {
     "controllers": _controllers,
     "limits": _limits,
     "latency": _latency,
     "gravity": _gravity,
     "gains": _gains,
-    "meshes": _meshes,
-    "cameras": _cameras,
     "hands": _hands,
     "tracking": _tracking,
     "synchrony": _synchrony,
     "leader": _leader,
     "workspace": _workspace,
-    "statistics": _statistics,
 }
-"""Measurement of each row; the others follow from the log of the drive."""
+"""Measurement of each row that drives; the others follow from the log of the drive."""
 
 
 def _write(context: StageContext, logs: Sequence[Driven], robot: Robot) -> None:
