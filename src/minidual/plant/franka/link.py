@@ -33,6 +33,8 @@ _HOLD_MS = 3_600_000
 _CLOSING_S = 10.0
 _RECOVERY_S = 2.0
 _RECOVERY_POLL_S = 0.01
+_CONNECTION_LOST = "NetworkException"
+"""The library's class for it."""
 _KEPT: list[Any] = []
 """Arms that did not end their motion in time: to destroy one waits for its end without end."""
 
@@ -74,6 +76,7 @@ class ArmLink:
         q, v, tau: Last measurement (7,).
         time_s: Of the last state, since the connection.
         fault: Why it cannot be driven, or empty.
+        is_lost: Whether its connection is gone: until `recover` it brings no states.
 
     Raises:
         EnvironmentMissingError: There is no controller, or it speaks another version.
@@ -105,6 +108,7 @@ class ArmLink:
         self.emulated = EMULATED in self._robot.model_urdf
         self.limits_rad = declared_limits(self._robot.model_urdf)
         self.fault = ""
+        self.is_lost = False
         self._stopped = False
         self._began_s: float | None = None
         self.time_s = 0.0
@@ -153,6 +157,7 @@ class ArmLink:
         reasons = [described(name) for name in names]
         if not reasons:
             reasons = [f"{type(error).__name__}: {text.splitlines()[0] if text else 'no reason'}"]
+            self.is_lost = self.is_lost or type(error).__name__ == _CONNECTION_LOST
         self.fault = self.fault or ", ".join(reasons)
 
     def follow(self, q: Array, v: Array, period_s: float) -> None:
@@ -219,6 +224,7 @@ class ArmLink:
             self._robot.join_motion(1.0)
         fault = self.fault
         self.fault = ""
+        self.is_lost = False
         try:
             if not self._is_clear():
                 self.fault = f"the controller refused to recover from {fault or 'an error'}"

@@ -232,10 +232,11 @@ class FrankaPlant:
             self._arms[index].stop()
 
     def step(self) -> None:
-        """Wait until both controllers' clocks have gone on by a period."""
+        """Wait until both controllers' clocks have gone on by a period; of lost arms nothing comes."""
         due_s = self.time + self.dt
-        patient_until_s = time.perf_counter() + self.dt + self._silent_s
         left, right = self._arms
+        silent_s = 0.0 if left.is_lost or right.is_lost else self._silent_s
+        patient_until_s = time.perf_counter() + self.dt + silent_s
         faults = [arm.fault for arm in self._arms]
         while True:
             self._read()
