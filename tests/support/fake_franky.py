@@ -16,6 +16,10 @@ class ControlException(Exception):
     pass
 
 
+class NetworkException(Exception):
+    pass
+
+
 class Cell:
     """What the fakes of one test share: robots and hands by host."""
 

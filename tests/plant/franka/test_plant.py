@@ -204,6 +204,34 @@ def test_a_controller_that_falls_silent_leaves_its_stamp_behind(
     assert driven.stamps_s[0] > driven.stamps_s[1]
 
 
+@pytest.mark.parametrize(
+    ("error", "is_patient"),
+    [(fake_franky.NetworkException, False), (fake_franky.ControlException, True)],
+)
+def test_a_lost_connection_does_not_hold_up_the_other_arm(
+    cell: fake_franky.Cell,
+    open_link: Connection,
+    monkeypatch: pytest.MonkeyPatch,
+    error: type[Exception],
+    is_patient: bool,
+) -> None:
+    """A step waits long for a slow controller, and a period for one that is gone, until it recovers."""
+    driven = open_link.plant
+    clock_s = [0.0]
+    monkeypatch.setattr(plant.time, "perf_counter", lambda: clock_s[0])
+    monkeypatch.setattr(plant.time, "sleep", lambda s: clock_s.__setitem__(0, clock_s[0] + s))
+    cell.robots[HOSTS[1]].raises = error("libfranka: UDP receive: Timeout")
+    driven.step()  # the fault is noticed
+    cell.robots[HOSTS[1]].silent = True
+    began_s = clock_s[0]
+    driven.step()
+    waited_s = clock_s[0] - began_s
+    assert (waited_s > 2.0 * driven.dt) == is_patient
+    cell.robots[HOSTS[1]].silent = False
+    open_link.recover()
+    assert not driven._arms[1].is_lost
+
+
 def test_hands_close_with_the_set_force_and_open(
     cell: fake_franky.Cell, open_link: Connection
 ) -> None:
