@@ -113,6 +113,33 @@ def test_a_jump_is_answered_and_flagged_by_name(client: RawClient, cell: Emulate
     assert names_of(client.state()["errors"]) == ()
 
 
+def test_recovery_and_a_motion_wait_until_the_arm_rests(
+    client: RawClient, cell: EmulatedCell
+) -> None:
+    client.move(0, 0)
+    arm = cell.arms[0]
+    start = arm.desired.q.copy()
+    state = client.state()
+    for k in range(1, 200):
+        client.command(state, q_c=start + 0.5 * (k / 1000.0) ** 3 * np.eye(7)[3])
+        client.server.tick()
+        state = client.state()
+    client.command(state, q_c=start)
+    while arm.mode is RobotMode.MOVE:
+        client.server.tick()
+    assert arm.mode is RobotMode.REFLEX
+    assert arm.is_braking
+    client.send(ArmCommand.AUTOMATIC_ERROR_RECOVERY)
+    client.server.tick()
+    client.collect()
+    assert client.answers[-1][:1] == (ArmCommand.MOVE,), "the recovery was answered in motion"
+    assert client.move(0, 0) == MoveStatus.MOTION_STARTED
+    assert (ArmCommand.AUTOMATIC_ERROR_RECOVERY, bytes([0])) in [
+        (answer[0], answer[2]) for answer in client.answers
+    ]
+    assert client.state()["robot_mode"] == RobotMode.MOVE
+
+
 def test_commands_that_answer_an_old_state_are_lost(client: RawClient, cell: EmulatedCell) -> None:
     cell_patience = 25
     client.move(0, 0)

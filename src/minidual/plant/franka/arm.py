@@ -78,11 +78,16 @@ class ArmController:
             gravity=np.zeros(JOINTS_N),
         )
 
+    @property
+    def is_braking(self) -> bool:
+        """Whether the arm comes to rest after a motion that has ended."""
+        return self.mode is not RobotMode.MOVE and not self.desired.is_still
+
     # Requests ----------------------------------------------------------------------------------
 
     def move(self, controller: int, generator: int) -> MoveStatus:
         """Start a motion, or say why not."""
-        if self.mode is not RobotMode.IDLE or not self.desired.is_still:
+        if self.mode is not RobotMode.IDLE or self.is_braking:
             return MoveStatus.NOT_POSSIBLE
         try:
             law = Controller(controller)

@@ -10,6 +10,8 @@ from minidual.plant.franka.channel import Channel
 from minidual.plant.franka.description import model_urdf
 from minidual.plant.franka.wire import ArmCommand, HandCommand, Record, Request, RobotMode
 
+_AT_REST = (ArmCommand.MOVE, ArmCommand.AUTOMATIC_ERROR_RECOVERY)
+"""Requests that wait until an arm that brakes has come to rest."""
 _HAND_ANSWER = np.dtype([("status", "<u2")])
 
 
@@ -22,6 +24,7 @@ class ServedArm:
         self._index = index
         self.controller = cell.arms[index]
         self._move_id = 0
+        self._waiting: list[Request] = []
         self.newest: Record | None = None
 
     def serve(self) -> None:
@@ -29,6 +32,9 @@ class ServedArm:
         requests, disconnected = self.channel.poll()
         if disconnected:
             self.controller.disconnected()
+            self._waiting.clear()
+        requests = [*self._waiting, *requests]
+        self._waiting.clear()
         for request in requests:
             with suppress(wire.WireError):
                 self._carry_out(request)
@@ -40,6 +46,9 @@ class ServedArm:
         try:
             command = ArmCommand(request.command)
         except ValueError:
+            return
+        if command in _AT_REST and self.controller.is_braking:
+            self._waiting.append(request)
             return
         layout = wire.ARM_REQUESTS.get(command)
         record = None if layout is None else wire.parse(request.payload, layout)
