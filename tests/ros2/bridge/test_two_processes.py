@@ -61,8 +61,6 @@ def test_another_process_hears_the_arms_and_leads_one(tmp_path: Path) -> None:
     assert all(rates[f"/camera_{camera}/image_raw"] > 0.0 for camera in CAMERAS)
     if sent["behind_s"] == 0.0:  # the machine kept up
         assert rates["/joint_states"] == pytest.approx(100.0, rel=0.05)
-        assert all(rates[f"/camera_{camera}/image_raw"] > 25.0 for camera in CAMERAS)
-        assert heard["p99_s"]["/joint_states"] < 0.02
 
 
 def test_a_wrong_time_is_refused(tmp_path: Path, capsys, monkeypatch) -> None:
