@@ -128,6 +128,21 @@ def test_a_hand_is_not_led_into_the_table(leader: Hands, mirror: Mirror) -> None
     assert left[2, 3] == pytest.approx(CONFIG.mirror.hand_height_min_m, abs=1e-4)
 
 
+def test_a_hand_slows_over_the_table_so_that_it_can_stop_there(
+    leader: Hands,
+    mirror: Mirror,
+) -> None:
+    follow(mirror, 0.1)
+    leader.Ts[0][2, 3] = -0.3
+    q = follow(mirror, 4.0)
+    heights_m = np.array([Kinematics().tcp_poses(each)[0][2, 3] for each in q])
+    room_m = heights_m[1:] - CONFIG.mirror.hand_height_min_m
+    speed_m_s = -np.diff(heights_m) * RATE_HZ
+    braking_m_s2 = 0.8  # of the soft stop in this posture
+    assert np.max(speed_m_s) > 0.3
+    assert np.all(speed_m_s**2 / (2.0 * braking_m_s2) <= room_m + 0.004)
+
+
 def test_a_poll_moves_nothing_and_sees_that_the_hands_were_moved_away(
     leader: Hands,
     mirror: Mirror,

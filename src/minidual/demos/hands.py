@@ -12,6 +12,13 @@ from minidual.robot.pair import Array, Robot, pose
 
 _JOINT_SPEED_SHARE = 0.7
 """Of the joints' speed limits. Near a singularity the hands slow down to keep it."""
+_STOP_S = 0.35
+"""Height over the least one that a hand has left for each m/s downwards.
+
+Lower or faster, a stop would end in the table, and the supervisor would stop the arms.
+"""
+_LANDING_M_S = 0.03
+"""Downward speed that a hand may have at any height."""
 
 
 def _copies(Ts: Sequence[Array]) -> list[Array]:
@@ -49,7 +56,7 @@ class HandTracker:
     """Moves both hands towards goals, and gives the joints.
 
     Each hand is a critically damped spring of bounded speed on the way to its goal. A goal below the
-    table is raised to it. A hand whose goal is out of reach slides along what it can reach.
+    table is raised to it, and on the way down a hand slows so that it can stop over the table. A hand whose goal is out of reach slides along what it can reach.
 
     Args:
         robot: The arms.
@@ -153,8 +160,10 @@ class HandTracker:
         T = self._Ts[arm]
         config = self._config
         spring = Spring(config.hand_lag_s, self._period_s)
+        xyz_goal = T_goal[:3, 3].copy()
+        xyz_goal[2] = max(xyz_goal[2], self._lowest_m(T[2, 3]))
         away_m, self._velocity_m_s[arm] = spring.step(
-            T[:3, 3] - T_goal[:3, 3],
+            T[:3, 3] - xyz_goal,
             self._velocity_m_s[arm],
             config.hand_speed_max_m_s,
         )
@@ -165,4 +174,11 @@ class HandTracker:
             config.hand_turn_max_rad_s,
         )
         R_next = Rotation.from_rotvec(away_rad).as_matrix() @ T_goal[:3, :3]
-        return pose(R_next, T_goal[:3, 3] + away_m)
+        return pose(R_next, xyz_goal + away_m)
+
+    def _lowest_m(self, height_m: float) -> float:
+        """Return the lowest goal that lets a hand at a height stop over the table."""
+        room_m = height_m - self._config.hand_height_min_m
+        speed_max_m_s = max(room_m / _STOP_S, _LANDING_M_S)
+        lag_s = max(self._config.hand_lag_s, self._period_s)
+        return height_m - speed_max_m_s * lag_s
