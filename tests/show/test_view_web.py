@@ -318,3 +318,13 @@ def test_the_overlay_says_what_the_world_says() -> None:
         "moveit",
         "active",
     )
+
+
+def test_the_green_mark_is_where_the_goal_of_the_trial_is(view: WebView) -> None:
+    world = World(CONFIG.scene)
+    view.update(world.data, overlay(world, Overlay()))
+    np.testing.assert_allclose(view._scene._goal.position[:2], CONFIG.scene.task.goal_xy_m)
+    world.mark_goal(0.53, -0.21, 0.2)
+    view.update(world.data, overlay(world, Overlay()))
+    np.testing.assert_allclose(view._scene._goal.position[:2], (0.53, -0.21))
+    np.testing.assert_allclose(view._scene._goal.wxyz, (np.cos(0.1), 0, 0, np.sin(0.1)), atol=1e-9)

@@ -21,6 +21,12 @@ _FIDUCIAL_LAYERS = (
 """Half size (3,) [m] and rgba."""
 
 
+def goal_mark(model: mujoco.MjModel) -> int | None:
+    """Return the index of the geom that marks a trial's goal; None if the scene has marks of its own."""
+    geom = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, GOAL_MARK)
+    return None if geom < 0 else geom
+
+
 def marks(scene: SceneConfig) -> tuple[MarkConfig, ...]:
     """Return the scene's marks, by default those of start and goal."""
     if scene.marks:

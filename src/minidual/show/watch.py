@@ -15,6 +15,7 @@ from minidual.control.commands import TrajectoryCommand
 from minidual.control.stack import ControlStack
 from minidual.demos.recording import Observe
 from minidual.demos.rig import Rig
+from minidual.plant.marks import goal_mark
 from minidual.plant.model import build_model
 from minidual.plant.simulation import Simulation
 from minidual.robot.kinematics import Kinematics
@@ -42,7 +43,7 @@ def visual_model(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> mujoco.MjMode
 
 
 def overlay(world: Simulation, words: Overlay) -> Overlay:
-    """Return `words` with the world's time and forces."""
+    """Return `words` with the world's time, forces and goal."""
     objects = [world.truth(name) for name in world.objects]
     pinch_left, pinch_right = np.max([each.pinch() for each in objects], axis=0)
     return words._replace(
@@ -50,7 +51,16 @@ def overlay(world: Simulation, words: Overlay) -> Overlay:
         pinch_n=(float(pinch_left), float(pinch_right)),
         internal_n=max(each.internal_force() for each in objects),
         arrows=force_arrows(world),
+        goal=_goal_pose(world.model),
     )
+
+
+def _goal_pose(model: mujoco.MjModel) -> Array | None:
+    """Return the pose of the goal's mark (7,); None without a mark."""
+    geom = goal_mark(model)
+    if geom is None:
+        return None
+    return np.concatenate([model.geom_pos[geom], model.geom_quat[geom]])
 
 
 class Brake:

@@ -8,6 +8,7 @@ import numpy.typing as npt
 import pinocchio as pin
 import trimesh
 
+from minidual.plant.marks import goal_mark
 from minidual.robot.pair import Array, pose
 
 HIDDEN_GROUP = 3
@@ -39,10 +40,11 @@ def moving_bodies(model: mujoco.MjModel) -> list[int]:
 
 
 def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
-    """Return visible meshes, merged by body and colour for speed."""
+    """Return visible meshes, merged by body and colour for speed; the goal's mark is apart."""
+    moved = goal_mark(model)
     parts: dict[tuple[int, tuple[float, ...]], list[trimesh.Trimesh]] = {}
     for geom in range(model.ngeom):
-        if _is_hidden(model, geom):
+        if geom == moved or _is_hidden(model, geom):
             continue
         mesh = _mesh(model, geom)
         if mesh is None:
@@ -50,9 +52,21 @@ def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
         R_body_geom = pin.Quaternion(*model.geom_quat[geom]).matrix()
         mesh.apply_transform(pose(R_body_geom, model.geom_pos[geom]))
         body = int(model.geom_bodyid[geom])
-        rgba = tuple(round(float(channel), 4) for channel in model.geom_rgba[geom])
-        parts.setdefault((body, rgba), []).append(mesh)
+        parts.setdefault((body, _rgba(model, geom)), []).append(mesh)
     return [_merged(body, rgba, meshes) for (body, rgba), meshes in parts.items()]
+
+
+def goal_mesh(model: mujoco.MjModel) -> BodyMesh | None:
+    """Return the mesh of the goal's mark in its own frame; None if there is no such mark."""
+    geom = goal_mark(model)
+    if geom is None:
+        return None
+    mesh = _mesh(model, geom)
+    return None if mesh is None else _merged(0, _rgba(model, geom), [mesh])
+
+
+def _rgba(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:
+    return tuple(round(float(channel), 4) for channel in model.geom_rgba[geom])
 
 
 def _is_hidden(model: mujoco.MjModel, geom: int) -> bool:

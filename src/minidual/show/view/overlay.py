@@ -63,6 +63,7 @@ class Overlay(NamedTuple):
         arrows: Forces.
         preview: Plan.
         lines: Further rows, name and text.
+        goal: Pose of the goal's mark (7,), position [m] and quaternion wxyz; None: it does not move.
     """
 
     time_s: float = 0.0
@@ -79,6 +80,7 @@ class Overlay(NamedTuple):
     arrows: tuple[Arrow, ...] = ()
     preview: Preview = NO_PREVIEW
     lines: tuple[tuple[str, str], ...] = ()
+    goal: Array | None = None
 
 
 class Slider(NamedTuple):

@@ -6,7 +6,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from minidual.show.view.meshes import BodyMesh, body_meshes, moving_bodies
+from minidual.plant.marks import goal_mark
+from minidual.show.view.meshes import BodyMesh, body_meshes, goal_mesh, moving_bodies
 from minidual.show.view.overlay import (
     ARROW_M_PER_N,
     NO_PREVIEW,
@@ -51,6 +52,7 @@ class Scene:
         mujoco.mj_kinematics(model, at_rest)
         drawn = {mesh.body for mesh in self._meshes}
         self._frames = self._add_bodies("/scene", at_rest, drawn)
+        self._goal = self._add_goal()
         self._moving = [body for body in moving_bodies(model) if body in drawn]
         self._sent: dict[int, Array] = {body: np.full(7, np.inf) for body in self._moving}
 
@@ -134,6 +136,30 @@ class Scene:
             cast_shadow=not mesh.is_flat,
             receive_shadow=True,
         )
+
+    def _add_goal(self) -> Any:
+        """Draw the goal's mark where the model has it; return its frame, None without a mark."""
+        mesh = goal_mesh(self._model)
+        geom = goal_mark(self._model)
+        if mesh is None or geom is None:
+            return None
+        frame = self._server.scene.add_frame(
+            "/scene/goal",
+            show_axes=False,
+            position=self._model.geom_pos[geom].copy(),
+            wxyz=self._model.geom_quat[geom].copy(),
+        )
+        self._add_mesh("/scene/goal/mesh", mesh)
+        return frame
+
+    def mark_goal(self, pose: Array | None) -> None:
+        """Move the goal's mark to a pose (7,), position [m] and quaternion wxyz, if it changed."""
+        if self._goal is None or pose is None:
+            return
+        drawn = np.concatenate([self._goal.position, self._goal.wxyz])
+        if np.abs(pose - drawn).max() >= _MOVED:
+            self._goal.position = pose[:3]
+            self._goal.wxyz = pose[3:]
 
     def _add_ghost_mesh(self, name: str, mesh: BodyMesh) -> None:
         self._server.scene.add_mesh_simple(

@@ -137,6 +137,7 @@ class WebView:
     def _draw(self, scene: Scene, data: mujoco.MjData, overlay: Overlay) -> None:
         with self._server.atomic():
             scene.move(data.xpos, data.xquat)
+            scene.mark_goal(overlay.goal)
             scene.draw_forces(overlay.arrows)
         scene.draw_preview(overlay.preview)
         self._overlay = overlay
