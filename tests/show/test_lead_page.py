@@ -78,7 +78,7 @@ def drag(
     for kind in ("DragStart", "Update", "DragEnd"):
         message: dict[str, Any] = {
             "type": f"TransformControls{kind}Message",
-            "name": f"/lead/{side}",
+            "name": f"/lead/1/{side}",
             "owner": "",
         }
         if kind == "Update":
@@ -166,6 +166,20 @@ def test_a_handle_of_no_number_is_ignored(leader: BrowserLeader, page: ClientCon
 
     until(right_moved)
     np.testing.assert_allclose(left_hand(leader), Kinematics().tcp_poses(HOME)[0], atol=1e-6)
+
+
+def test_a_drag_of_handles_that_were_replaced_moves_nothing(
+    leader: BrowserLeader,
+    page: ClientConnection,
+    scene: Any,
+) -> None:
+    home = Kinematics().tcp_poses(HOME)
+    drag(page, "both", (0.3, 0.1, 0.4), wxyz=[0.0, 0.0, 1.0, 0.0])
+    until(lambda: not np.allclose(left_hand(leader), home[0], atol=1e-6))
+    leader.align(sample_trial(scene, 1, "demonstrations", 1), HOME)  # while the mouse is down
+    drag(page, "both", (0.3, 0.2, 0.4), wxyz=[0.0, 0.0, 1.0, 0.0])
+    time.sleep(0.5)
+    np.testing.assert_allclose(left_hand(leader), home[0], atol=1e-6)
 
 
 def test_buttons_and_sliders_of_the_page_count(

@@ -93,6 +93,7 @@ class PageHandles(HandHandles):
         self._latency = latency
         self._gizmos: list[Any] = []
         self._between: Any = None
+        self._placed_n = 0
         self._Ts = [np.eye(4), np.eye(4)]
         self._T_between = np.eye(4)
         self._openings = [1.0, 1.0]
@@ -113,11 +114,16 @@ class PageHandles(HandHandles):
         )
 
     def place(self, Ts_world_tcp: Sequence[Array]) -> None:
-        """Put the handles at the hands. Scenes that were replaced have lost theirs."""
+        """Put new handles at the hands. Scenes that were replaced have lost theirs.
+
+        They have new names: a drag that began before moves nothing, and no page shows them where
+        it was dragging those of before.
+        """
         for gizmo in self._gizmos:
             gizmo.remove()
         if self._between is not None:
             self._between.remove()
+        self._placed_n += 1
         self._Ts = [np.array(T) for T in Ts_world_tcp]
         self._T_between = pose(np.eye(3), self._middle())
         self._gizmos = [self._add_gizmo(side, T) for side, T in zip(SIDES, self._Ts, strict=True)]
@@ -131,7 +137,7 @@ class PageHandles(HandHandles):
 
     def _add_gizmo(self, name: str, T: Array) -> Any:
         return self._server.scene.add_transform_controls(
-            f"/lead/{name}",
+            f"/lead/{self._placed_n}/{name}",
             scale=_HANDLE_SCALE,
             depth_test=False,
             wxyz=_wxyz(T),
