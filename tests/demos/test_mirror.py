@@ -128,6 +128,21 @@ def test_a_hand_is_not_led_into_the_table(leader: Hands, mirror: Mirror) -> None
     assert left[2, 3] == pytest.approx(CONFIG.mirror.hand_height_min_m, abs=1e-4)
 
 
+def test_a_hand_that_is_thrown_gains_and_loses_speed_slowly(leader: Hands, mirror: Mirror) -> None:
+    follow(mirror, 0.1)
+    leader.Ts[0][1, 3] += 0.15
+    q = follow(mirror, 2.0)
+    places = np.array([Kinematics().tcp_poses(each)[0][:3, 3] for each in (HOME, *q)])
+    np.testing.assert_allclose(places[-1], leader.Ts[0][:3, 3], atol=1e-4)
+    speeds = np.linalg.norm(np.diff(places, axis=0), axis=1) * RATE_HZ
+    limits = CONFIG.mirror
+    gain_max_m_s2 = limits.hand_speed_max_m_s / limits.hand_ramp_s
+    assert np.max(speeds) > 0.25
+    assert (
+        np.max(np.abs(np.diff(speeds))) * RATE_HZ <= 1.1 * gain_max_m_s2
+    )  # places are half a period behind
+
+
 def test_a_hand_slows_over_the_table_so_that_it_can_stop_there(
     leader: Hands,
     mirror: Mirror,

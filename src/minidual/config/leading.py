@@ -20,6 +20,8 @@ class MirrorConfig(StrictModel):
     hand_turn_max_rad_s: float = Field(default=1.5, ge=0.05, le=4.0)
     hand_lag_s: float = Field(default=0.1, ge=0.0, le=1.0)
     """Time constant of the filter of hand poses."""
+    hand_ramp_s: float = Field(default=0.25, ge=0.0, le=2.0)
+    """Time in which a hand reaches its largest speed at the soonest; a jerk lets an object slip."""
     hand_height_min_m: float = Field(default=0.01, ge=-1.0, le=1.0)
     """Least height of a finger tip above the table; goals below it are raised to it."""
 

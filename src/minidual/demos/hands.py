@@ -31,25 +31,47 @@ class Spring:
     Args:
         lag_s: By which it lags a steady motion.
         period_s: Of a step; a shorter lag is as long as it.
+        ramp_s: Time in which it reaches its largest rate at the soonest; 0: at once.
     """
 
-    def __init__(self, lag_s: float, period_s: float) -> None:
+    def __init__(self, lag_s: float, period_s: float, ramp_s: float = 0.0) -> None:
         self._lag_s = max(lag_s, period_s)
         self._period_s = period_s
+        self._ramp_s = ramp_s
 
     def step(self, away: Array, rate: Array, rate_max: float) -> tuple[Array, Array]:
         """Return how far away (k,) it is from its goal after a period, and its rate.
 
-        Far away, it pulls as if the goal were where the largest rate lets it be.
+        Far away, it pulls as if the goal were where the largest rate lets it be, or nearer: where it
+        can still brake.
         """
         distance = float(np.linalg.norm(away))
-        reach = rate_max * self._lag_s
+        reach = self._rate_towards(distance, rate_max) * self._lag_s
         pulled = away if distance <= reach else away * (reach / distance)
         beyond = away - pulled
         stiffness = 2.0 / self._lag_s
         decay = np.exp(-stiffness * self._period_s)
         drift = (rate + stiffness * pulled) * self._period_s
-        return beyond + (pulled + drift) * decay, (rate - stiffness * drift) * decay
+        rate_next = (rate - stiffness * drift) * decay
+        change = rate_next - rate
+        share = self._allowed_share(float(np.linalg.norm(change)), rate_max)
+        if share < 1.0:
+            rate_eased = rate + share * change
+            return away + 0.5 * (rate + rate_eased) * self._period_s, rate_eased
+        return beyond + (pulled + drift) * decay, rate_next
+
+    def _rate_towards(self, distance: float, rate_max: float) -> float:
+        """Return the largest rate from which it comes to rest within a distance."""
+        if self._ramp_s == 0.0:
+            return rate_max
+        return min(rate_max, float(np.sqrt(distance * rate_max / self._ramp_s)))
+
+    def _allowed_share(self, change: float, rate_max: float) -> float:
+        """Return the share of a period's change of rate that the ramp allows."""
+        if self._ramp_s == 0.0:
+            return 1.0
+        change_max = rate_max * self._period_s / self._ramp_s
+        return 1.0 if change <= change_max else change_max / change
 
 
 class HandTracker:
@@ -159,7 +181,7 @@ class HandTracker:
         """Return a hand's pose after one period of its spring."""
         T = self._Ts[arm]
         config = self._config
-        spring = Spring(config.hand_lag_s, self._period_s)
+        spring = Spring(config.hand_lag_s, self._period_s, config.hand_ramp_s)
         xyz_goal = T_goal[:3, 3].copy()
         xyz_goal[2] = max(xyz_goal[2], self._lowest_m(T[2, 3]))
         away_m, self._velocity_m_s[arm] = spring.step(

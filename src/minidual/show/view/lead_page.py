@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from minidual.demos.station import Button, HandHandles, HandReading, Station, Status
 from minidual.robot.pair import SIDES, Array, pose
 
-_STYLE = "padding:4px 12px;font-size:13px"
+_STYLE = "padding:4px 12px;font-size:13px;min-height:110px"
+"""With room for five lines: buttons that move under the mouse are pressed by mistake."""
 _SHOW_PERIOD_S = 0.15
 _HANDLE_SCALE = 0.14
 _STILL = 1e-5
