@@ -328,3 +328,16 @@ def test_the_green_mark_is_where_the_goal_of_the_trial_is(view: WebView) -> None
     view.update(world.data, overlay(world, Overlay()))
     np.testing.assert_allclose(view._scene._goal.position[:2], (0.53, -0.21))
     np.testing.assert_allclose(view._scene._goal.wxyz, (np.cos(0.1), 0, 0, np.sin(0.1)), atol=1e-9)
+
+
+@pytest.mark.parametrize("shadows", [True, False])
+def test_shadows_are_drawn_unless_they_are_switched_off(shadows: bool) -> None:
+    config = ViewConfig(port=unused_port(), shadows=shadows)
+    view = make_view("web", config, say=lambda _line: None)
+    assert isinstance(view, WebView)
+    try:
+        view.open(visual_model(CONFIG.scene))
+        light = view._server.scene._handle_from_node_name["/light/key"]
+        assert light.cast_shadow == shadows
+    finally:
+        view.close()

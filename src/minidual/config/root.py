@@ -86,6 +86,8 @@ class ViewConfig(StrictModel):
     rate_hz: float = Field(default=30.0, ge=1.0, le=120.0)
     speed_max: float = Field(default=0.0, ge=0.0, le=100.0)
     """Most simulated seconds per wall second; 0: no limit."""
+    shadows: bool = True
+    """Whether pages draw shadows; without a graphics card they take most of the time."""
 
 
 class Config(StrictModel):

@@ -37,7 +37,14 @@ _FOV_RAD = 0.70
 class Scene:
     """Scene of a model with visual meshes; resets the server's scene."""
 
-    def __init__(self, server: Any, model: mujoco.MjModel, *, rooms_n: int = 1) -> None:
+    def __init__(
+        self,
+        server: Any,
+        model: mujoco.MjModel,
+        *,
+        rooms_n: int = 1,
+        shadows: bool = True,
+    ) -> None:
         self._server = server
         self._model = model
         self._meshes = body_meshes(model)
@@ -45,7 +52,7 @@ class Scene:
         self._preview: Preview = NO_PREVIEW
         self._preview_nodes: list[Any] = []
         server.scene.reset()
-        self._light()
+        self._light(shadows)
         self._place_camera(rooms_n)
         self._add_floor()
         at_rest = mujoco.MjData(model)
@@ -56,7 +63,7 @@ class Scene:
         self._moving = [body for body in moving_bodies(model) if body in drawn]
         self._sent: dict[int, Array] = {body: np.full(7, np.inf) for body in self._moving}
 
-    def _light(self) -> None:
+    def _light(self, shadows: bool) -> None:
         scene = self._server.scene
         scene.set_up_direction("+z")
         scene.configure_environment_map("studio", background=False, environment_intensity=0.22)
@@ -66,7 +73,7 @@ class Scene:
             "/light/key",
             color=(255, 250, 240),
             intensity=1.15,
-            cast_shadow=True,
+            cast_shadow=shadows,
             position=(1.2, 1.0, 2.6),
         )
         scene.configure_fog(4.0, 14.0, color=_FOG_RGB)

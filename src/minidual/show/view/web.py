@@ -109,7 +109,12 @@ class WebView:
         if self._model is None:
             self._introduce()
         if model is not self._model and self.alive:
-            self._scene = Scene(self._server, model, rooms_n=rooms_n)
+            self._scene = Scene(
+                self._server,
+                model,
+                rooms_n=rooms_n,
+                shadows=self._config.shadows,
+            )
             self._model = model
 
     def lead_page(self) -> LeadPage:
