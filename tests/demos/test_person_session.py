@@ -118,6 +118,21 @@ def test_an_episode_begins_at_start_stands_still_in_a_pause_and_ends_with_succes
     assert rig.world.time == pytest.approx(1.6, abs=0.4), "time stood still in the pause"
 
 
+def test_what_became_of_an_episode_is_shown_until_the_next_one_begins(tmp_path: Path) -> None:
+    rig, station = rig_of(tmp_path)
+    presses((Button.START, 0.0), (Button.FAILURE, 0.5))
+    rig.record(0)
+    assert {status.last for status in station.shown} == {""}
+    station.shown.clear()
+    waits = Button.CORRECT  # does nothing before the start
+    presses((waits, 0.0), (Button.START, 0.0), (Button.FAILURE, 0.5))
+    rig.record(1)
+    rig.close()
+    told = {status.state: status.last for status in station.shown}
+    assert told["press start"].startswith("trial 0 was rejected: called a failure by who led it")
+    assert told["leading"] == ""
+
+
 def test_failure_is_kept_apart_with_its_reason(tmp_path: Path) -> None:
     presses((Button.START, 0.0), (Button.FAILURE, 1.5))
     rig, _ = rig_of(tmp_path)

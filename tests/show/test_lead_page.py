@@ -18,7 +18,7 @@ from minidual.config.learning import TeleopConfig
 from minidual.config.root import ViewConfig
 from minidual.demos.leader import Feedback, LeaderSetup
 from minidual.demos.leaders.browser import BrowserLeader
-from minidual.demos.station import NO_STATION, Button, Status
+from minidual.demos.station import NO_STATION, PAUSED, Button, Status
 from minidual.errors import EnvironmentMissingError
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA
@@ -91,6 +91,16 @@ def left_hand(leader: BrowserLeader) -> np.ndarray:
     assert sample is not None
     assert sample.Ts_world_tcp is not None
     return sample.Ts_world_tcp[0]
+
+
+def test_the_pause_button_says_what_it_does(view: WebView) -> None:
+    page = view.lead_page()
+    labels = []
+    for state in ("leading", PAUSED, "leading"):
+        page._shown_at_s = -math.inf  # shown at once
+        page.show(Status(state))
+        labels.append(page._buttons[Button.PAUSE].label)
+    assert labels == ["Pause", "Go on", "Pause"]
 
 
 def test_the_handles_begin_at_the_hands(leader: BrowserLeader) -> None:
@@ -247,11 +257,15 @@ def test_the_round_trip_to_the_page_is_measured(
 
 
 def test_a_person_sees_time_left_latency_and_why_the_arms_hold() -> None:
-    shown = status_html(Status("leading", 41.6, "left hand: out of reach", "<b> away", 0.0123))
+    status = Status(
+        "leading", 41.6, "left hand: out of reach", "<b> away", 0.0123, "trial 3 was kept"
+    )
+    shown = status_html(status)
     assert "time left 42 s" in shown
     assert "latency 12 ms" in shown
     assert "the arms hold: &lt;b&gt; away" in shown
     assert "left hand: out of reach" in shown
+    assert "trial 3 was kept" in shown
 
 
 def test_without_a_view_there_is_nothing_to_drag(scene: Any) -> None:

@@ -78,7 +78,8 @@ class HandTracker:
     """Moves both hands towards goals, and gives the joints.
 
     Each hand is a critically damped spring of bounded speed on the way to its goal. A goal below the
-    table is raised to it, and on the way down a hand slows so that it can stop over the table. A hand whose goal is out of reach slides along what it can reach.
+    table is raised to it, and on the way down a hand slows so that it can stop over the table. A
+    hand whose goal is out of reach slides along what it can reach.
 
     Args:
         robot: The arms.

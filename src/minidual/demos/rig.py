@@ -118,7 +118,10 @@ class Rig:
         adopted = recorder.adopted(trial)
         if adopted is not None:
             return adopted
-        return recorder.record(trial, self)
+        attempt = recorder.record(trial, self)
+        became = f"rejected: {attempt.reason}" if attempt.reason else "kept"
+        self.session.last = f"trial {index} was {became}"
+        return attempt
 
     def close(self) -> None:
         """Release the leader and free the renderer."""

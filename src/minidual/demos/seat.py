@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from minidual.config.learning import TeleopConfig
 from minidual.demos.mirror import Mirror, Mirrored
-from minidual.demos.station import Button, Station, Status
+from minidual.demos.station import PAUSED, Button, Station, Status
 from minidual.errors import UsageError
 from minidual.tasks.task import Task
 
@@ -35,6 +35,7 @@ class Seat:
         ending: The button that ended the episode, or None.
         pressed: Buttons of the last tick.
         late_s: Wall time by which the last tick came late; 0 for a leader that is no person.
+        last: What became of the episode before, shown until this one begins.
     """
 
     def __init__(
@@ -48,6 +49,7 @@ class Seat:
         self.ending: Button | None = None
         self.pressed: tuple[Button, ...] = ()
         self.late_s = 0.0
+        self.last = ""
         self._station = station
         self._config = config
         self._freeze = freeze
@@ -96,6 +98,7 @@ class Seat:
 
     def start_clock(self) -> None:
         """Let the time of the episode run."""
+        self.last = ""
         self._began_s = time.monotonic()
 
     def wait_for_tick(self, k: int) -> Button | None:
@@ -120,7 +123,7 @@ class Seat:
                 return ending
             if Button.PAUSE in pressed:
                 self._paused = False
-            self._show("paused")
+            self._show(PAUSED)
             self._freeze()
             time.sleep(_POLL_S)
         self._began_s += time.monotonic() - since_s
@@ -157,5 +160,6 @@ class Seat:
             hint=self.mirror.hint,
             held=self.mirror.gate.held,
             latency_s=self._age_s,
+            last=self.last,
         )
         self._station.show(status)

@@ -172,6 +172,7 @@ class TeleopSession:
     Attributes:
         station: Where the person stands who leads.
         policy: Drives until the leader takes over; None: the leader drives.
+        last: What became of the episode before, for the station.
     """
 
     def __init__(
@@ -184,6 +185,7 @@ class TeleopSession:
         self.world = stack.plant
         self.config = config
         self.station = NO_STATION
+        self.last = ""
         self.policy: DrivingPolicy | None = None
         self._pictures = pictures
         self._signals = Signals(stack, recorded_signals(config))
@@ -214,6 +216,7 @@ class TeleopSession:
         mirror = Mirror(leader, self.world.robot, self.config)
         mirror.begin(self.world.q)
         seat = Seat(mirror, self.station, self.config, self._freeze)
+        seat.last = self.last
         self._signals.reset()
         self._corrections = None
         if self.policy is not None:

@@ -7,6 +7,9 @@ from typing import NamedTuple
 
 from minidual.robot.pair import Array
 
+PAUSED = "paused"
+"""State of a session whose time stands still in an episode."""
+
 
 class Button(StrEnum):
     """Buttons that a person presses in a session.
@@ -36,6 +39,7 @@ class Status:
         hint: What the leader shows, such as the hand that its keys move.
         held: Why the arms hold although the leader moves, or "".
         latency_s: Age of the newest reading; None if the leader does not tell.
+        last: What became of the episode before, until the next one begins, or "".
     """
 
     state: str
@@ -43,6 +47,7 @@ class Status:
     hint: str = ""
     held: str = ""
     latency_s: float | None = None
+    last: str = ""
 
 
 class HandReading(NamedTuple):

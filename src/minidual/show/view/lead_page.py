@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from minidual.demos.station import Button, HandHandles, HandReading, Station, Status
+from minidual.demos.station import PAUSED, Button, HandHandles, HandReading, Station, Status
 from minidual.robot.pair import SIDES, Array, pose
 
 _STYLE = "padding:4px 12px;font-size:13px;min-height:110px"
@@ -23,7 +23,7 @@ _LABELS = {
     Button.SUCCESS: ("Success", "teal"),
     Button.FAILURE: ("Failure", "orange"),
     Button.DISCARD: ("Discard, same start again", "gray"),
-    Button.PAUSE: ("Pause, go on", "gray"),
+    Button.PAUSE: ("Pause", "gray"),
     Button.NEXT: ("Next start", "gray"),
     Button.CORRECT: ("Take over, hand back", "blue"),
 }
@@ -40,6 +40,8 @@ def status_html(status: Status) -> str:
         lines.append(f"the arms hold: {html.escape(status.held)}")
     if status.hint:
         lines.append(html.escape(status.hint))
+    if status.last:
+        lines.append(html.escape(status.last))
     return f"<div style='{_STYLE}'>{'<br>'.join(lines)}</div>"
 
 
@@ -68,6 +70,13 @@ class LeadPage(Station):
         if now_s - self._shown_at_s >= _SHOW_PERIOD_S:
             self._shown_at_s = now_s
             self._status.content = status_html(status)
+            self._label_pause("Go on" if status.state == PAUSED else _LABELS[Button.PAUSE][0])
+
+    def _label_pause(self, label: str) -> None:
+        """Say what the button does now: a click that was missed shows."""
+        button = self._buttons[Button.PAUSE]
+        if button.label != label:
+            button.label = label
 
     def pressed(self) -> tuple[Button, ...]:
         """Return the buttons pressed since the last call."""
