@@ -216,6 +216,24 @@ def test_buttons_and_sliders_of_the_page_count(
     np.testing.assert_array_equal(sample.openings, [1.0, 0.25])
 
 
+def test_one_click_closes_or_opens_both_hands(
+    leader: BrowserLeader,
+    view: WebView,
+    page: ClientConnection,
+) -> None:
+    handles = view.lead_page().handles()
+
+    def openings() -> list[float]:
+        sample = leader.read(0.0)
+        assert sample is not None
+        return sample.openings.tolist()
+
+    for button, opening in ((handles._close, 0.0), (handles._open, 1.0), (handles._close, 0.0)):
+        expected = [opening] * 2
+        send(page, type="GuiUpdateMessage", uuid=button._impl.uuid, updates={"value": True})
+        until(lambda expected=expected: openings() == expected)
+
+
 def test_released_from_the_clutch_the_handles_return_to_the_hands(
     leader: BrowserLeader,
     view: WebView,

@@ -29,6 +29,12 @@ _LABELS = {
 }
 
 
+_FIRST = (Button.START, Button.SUCCESS, Button.FAILURE)
+"""Buttons of each episode. The others stand below the sliders of the hands, which are used more."""
+_LAST_ORDER = 1e6
+"""Place of a folder below all others of the panel."""
+
+
 def status_html(status: Status) -> str:
     """Return the display as HTML, escaped."""
     lines = [f"<b>{html.escape(status.state)}</b>"]
@@ -56,7 +62,10 @@ class LeadPage(Station):
         self._handles: PageHandles | None = None
         with server.gui.add_folder("lead"):
             self._status = server.gui.add_html("")
-            self._buttons = {button: self._add_button(button) for button in Button}
+            self._buttons = {button: self._add_button(button) for button in _FIRST}
+        with server.gui.add_folder("more", order=_LAST_ORDER):
+            others = [button for button in Button if button not in _FIRST]
+            self._buttons |= {button: self._add_button(button) for button in others}
 
     def _add_button(self, button: Button) -> Any:
         label, color = _LABELS[button]
@@ -109,6 +118,10 @@ class PageHandles(HandHandles):
         self._openings = [1.0, 1.0]
         with server.gui.add_folder("hands"):
             self._sliders = [self._add_slider(side) for side in SIDES]
+            self._close = server.gui.add_button("Close both hands", color="gray")
+            self._close.on_click(lambda _: self._set_both(0.0))
+            self._open = server.gui.add_button("Open both hands", color="gray")
+            self._open.on_click(lambda _: self._set_both(1.0))
             self._clutch = server.gui.add_checkbox(
                 "clutch: move the handles alone",
                 initial_value=False,
@@ -141,9 +154,12 @@ class PageHandles(HandHandles):
 
     def open(self) -> None:
         """Open both hands, and let go of the clutch."""
-        for slider in self._sliders:
-            slider.value = 1.0
+        self._set_both(1.0)
         self._clutch.value = False
+
+    def _set_both(self, opening: float) -> None:
+        for slider in self._sliders:
+            slider.value = opening
 
     def _add_gizmo(self, name: str, T: Array) -> Any:
         return self._server.scene.add_transform_controls(
