@@ -2,6 +2,7 @@
 
 import contextlib
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -70,6 +71,7 @@ class FreeLead:
         config: Section `teleop`.
         leader: Connected.
         station: Where the person stands who leads.
+        draw: Draws the plant once: while it waits, and at each tick.
     """
 
     def __init__(
@@ -78,12 +80,14 @@ class FreeLead:
         config: TeleopConfig,
         leader: Leader,
         station: Station,
+        draw: Callable[[], None] = lambda: None,
     ) -> None:
         self._stack = stack
         self._plant = stack.plant
         self._leader = leader
         self._mirror = Mirror(leader, stack.plant.robot, config)
-        self._seat = Seat(self._mirror, station, config, lambda: None)
+        self._seat = Seat(self._mirror, station, config, draw)
+        self._draw = draw
         self._rate_hz = config.rate_hz
         self._began_s = 0.0
 
@@ -173,6 +177,7 @@ class FreeLead:
                 stack.advance()
             if stack.reflex is not None:
                 return
+        self._draw()
         self._feed_back(time_s - self._began_s, q, gripper)
 
     def _feed_back(self, stamp_s: float, q: Array, gripper: Array) -> None:

@@ -12,7 +12,6 @@ from minidual.control.stack import ControlStack
 from minidual.demos.free_lead import FreeLead, LeadTick, Led
 from minidual.demos.lag import leader_lag
 from minidual.demos.leader import LEADERS, Leader, LeaderSetup, follows_swiftly
-from minidual.demos.station import Station
 from minidual.durable import write_csv
 from minidual.errors import ExitCode, NothingEvaluatedError, UsageError
 from minidual.gate.stage import ToolContext, ToolResult
@@ -22,11 +21,15 @@ from minidual.plant.lifecycle import Connection, planned_robot
 from minidual.plant.protocol import Plant
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot, robot_from
+from minidual.show.watch import StackNarrator
+from minidual.show.watch_plant import watched_plant
 from minidual.skills.plant_home import bring_home
 from minidual.skills.supervised import trial_supervisor
 from minidual.stages.leading import station_of, web_view
 from minidual.tasks.catalogue import make_task
 
+PURPOSE = "lead"
+"""Random stream of the start."""
 _SECONDS = 60.0
 _SECONDS_MAX = 3600.0
 
@@ -50,11 +53,19 @@ def lead(context: ToolContext) -> ToolResult:
     arms = robot_from(config.robot)
     with ExitStack() as stack, connection(config.plant, arms, config.scene) as link:
         robot = link.plant.robot
-        station = _station(context, kind, stack)
+        view = context.view
+        if view is None and kind.features.picture:
+            view = stack.enter_context(closing(web_view(context)))
+        station = station_of(context, kind, view, stack)
         setup = LeaderSetup(robot, make_task(config), config.teleop, context.seed, station)
         leader = kind.connect(setup)
         stack.callback(leader.close)
-        led = _lead(context, config, link, leader, station, seconds)
+        control = _control(context, config, link)
+        narrate = StackNarrator(control, Kinematics(robot), "lead")
+        draw = stack.enter_context(watched_plant(view, link, config.scene, narrate))
+        context.progress.note(f"lead now, at most {seconds:g} s")
+        session = FreeLead(control, config.teleop, leader, station, draw)
+        led = session.run(make_task(config).trial(context.seed, PURPOSE, 0), seconds)
         place = link.place
     if not led.ticks:
         raise NothingEvaluatedError(
@@ -79,33 +90,16 @@ def lead(context: ToolContext) -> ToolResult:
     return ToolResult(lines, _notes(led, leader, place), data, code)
 
 
-def _station(context: ToolContext, kind: type[Leader], stack: ExitStack) -> Station:
-    """Return where the person stands; a leader that needs a picture gets the live view."""
-    view = context.view
-    if view is None and kind.features.picture:
-        view = stack.enter_context(closing(web_view(context)))
-    return station_of(context, kind, view, stack)
-
-
-def _lead(
-    context: ToolContext,
-    config: Config,
-    link: Connection,
-    leader: Leader,
-    station: Station,
-    seconds: float,
-) -> Led:
-    """Bring the arms home, put the objects at a start, and let the leader drive."""
+def _control(context: ToolContext, config: Config, link: Connection) -> ControlStack[Plant]:
+    """Bring the arms home, put the objects at a start, and return the control stack."""
     plant: Plant = link.plant
-    task = make_task(config)
-    trial = task.trial(context.seed, "lead", 0)
     if config.plant.address != SIMULATOR:
         context.progress.note("the arms go home")
         planner = Planner(config=config.plan.planner, robot=planned_robot(plant))
         bring_home(link, config, planner, context.seed)
     twin = link.twin()
     if twin is not None:
-        twin.place(trial.start)
+        twin.place(make_task(config).trial(context.seed, PURPOSE, 0).start)
     stack = ControlStack(
         plant,
         Kinematics(plant.robot),
@@ -115,8 +109,7 @@ def _lead(
     )
     if follows_swiftly(config.teleop):
         stack.anticipate(config.teleop.rate_hz)
-    context.progress.note(f"lead now, at most {seconds:g} s")
-    return FreeLead(stack, config.teleop, leader, station).run(trial, seconds)
+    return stack
 
 
 def numbers_of(led: Led, rate_hz: float) -> dict[str, float]:
