@@ -29,9 +29,11 @@ class Rig:
 
     Attributes:
         leader: Who leads, None before the first trial and after `close`.
+        last: What became of the trial before, for the station.
     """
 
     leader: Leader | None = None
+    last: str = ""
 
     def __init__(self, job: Job, cameras: Sequence[str]) -> None:
         self.job = job
@@ -79,6 +81,7 @@ class Rig:
         task = self.job.task
         teleop = self.job.teleop
         leader = self._connected()
+        self.session.last = self.last
         ticks_per_room = round(teleop.room_change_s * teleop.rate_hz)
         # Leaving a room restores what was there when it was entered: the mark comes first.
         self.world.mark_goal(*placement(trial.goal[task.carried]))
@@ -120,7 +123,7 @@ class Rig:
             return adopted
         attempt = recorder.record(trial, self)
         became = f"rejected: {attempt.reason}" if attempt.reason else "kept"
-        self.session.last = f"trial {index} was {became}"
+        self.last = f"trial {index} was {became}"
         return attempt
 
     def close(self) -> None:
