@@ -232,7 +232,10 @@ class FrankaPlant:
             self._arms[index].stop()
 
     def step(self) -> None:
-        """Wait until both controllers' clocks have gone on by a period; of lost arms nothing comes."""
+        """Wait until both controllers' clocks have gone on by a period.
+
+        A lost arm sends no states: then it waits for no more than a period.
+        """
         due_s = self.time + self.dt
         left, right = self._arms
         silent_s = 0.0 if left.is_lost or right.is_lost else self._silent_s

@@ -139,8 +139,7 @@ class PageHandles(HandHandles):
     def place(self, Ts_world_tcp: Sequence[Array]) -> None:
         """Put new handles at the hands. Scenes that were replaced have lost theirs.
 
-        They have new names: a drag that began before moves nothing, and no page shows them where
-        it was dragging those of before.
+        New handles get new names, so that a drag of the old ones moves nothing.
         """
         for gizmo in self._gizmos:
             gizmo.remove()
