@@ -11,6 +11,7 @@ SOURCE = Path(minidual.__file__).parent
 COMPOSE = {
     "demos/rig.py",
     "environments/task_env.py",
+    "show/watch_plant.py",
     "skills/held_execution.py",
     "stages/bridge.py",
     "stages/env_check/model.py",
