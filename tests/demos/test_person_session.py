@@ -34,6 +34,7 @@ class Person(Leader):
     pressing: ClassVar[Callable[[float], tuple[Button, ...]]]
     offset: ClassVar[Array]
     aligned_n: ClassVar[int]
+    resumed: ClassVar[list[Array]]
 
     @classmethod
     def connect(cls, setup: LeaderSetup) -> Self:
@@ -41,6 +42,9 @@ class Person(Leader):
 
     def align(self, trial: Trial, q_follower: Array) -> None:
         type(self).aligned_n += 1
+
+    def resume(self, q_follower: Array) -> None:
+        type(self).resumed.append(np.array(q_follower))
 
     def read(self, now_s: float) -> LeaderSample | None:
         q = HOME + type(self).offset
@@ -71,6 +75,7 @@ class Recorder(Station):
 def person() -> Iterator[None]:
     Person.offset = np.zeros(14)
     Person.aligned_n = 0
+    Person.resumed = []
     LEADERS.add("person", Person)
     yield
     LEADERS._rows.pop("person")
@@ -116,6 +121,16 @@ def test_an_episode_begins_at_start_stands_still_in_a_pause_and_ends_with_succes
     assert attempt.path.parent.name == "rejected"
     assert not attempt.reason.startswith("the leader")
     assert rig.world.time == pytest.approx(1.6, abs=0.4), "time stood still in the pause"
+
+
+def test_after_a_pause_the_leader_leads_on_from_where_the_arms_are(tmp_path: Path) -> None:
+    presses((Button.START, 0.0), (Button.PAUSE, 0.5), (Button.PAUSE, 0.5), (Button.SUCCESS, 0.6))
+    rig, _ = rig_of(tmp_path)
+    rig.record(0)
+    rig.close()
+    assert len(Person.resumed) == 1
+    swayed_rad = 0.1 * np.sin(0.5 * np.pi) ** 2
+    assert Person.resumed[0][1] - HOME[1] == pytest.approx(swayed_rad, abs=0.02)
 
 
 def test_what_became_of_an_episode_is_shown_until_the_next_one_begins(tmp_path: Path) -> None:

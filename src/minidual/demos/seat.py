@@ -123,6 +123,8 @@ class Seat:
                 return ending
             if Button.PAUSE in pressed:
                 self._paused = False
+                # Handles and keys that were moved in the pause have led nothing.
+                self.mirror.leader.resume(self.mirror.gate.target)
             self._show(PAUSED)
             self._freeze()
             time.sleep(_POLL_S)

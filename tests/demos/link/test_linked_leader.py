@@ -93,6 +93,16 @@ def test_targets_and_grips_arrive_after_half_of_the_round_trip() -> None:
     assert [float(sample.openings[0]) for sample in samples] == [1.0] * 5 + [0.0] * 3
 
 
+def test_hands_keep_their_openings_when_the_leader_leads_on() -> None:
+    _, link = behind("delay=200ms")
+    before = [tick(link) for _ in range(8)][-1]
+    link.resume(HOME)
+    after = [tick(link) for _ in range(8)]
+    assert [float(sample.openings[0]) for sample in (before, *after)] == [0.0] * 9
+    link.align(make_task(Config()).trial(1, "test", 0), HOME)
+    assert float(tick(link).openings[0]) == 1.0, "a new trial begins with open hands"
+
+
 def test_a_button_arrives_late_and_is_never_lost() -> None:
     hand, link = behind("delay=100ms,jitter=20ms,loss=50%")
     hand.pressed = (Button.SUCCESS,)

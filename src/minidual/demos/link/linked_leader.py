@@ -67,6 +67,7 @@ class LinkedLeader(Leader):
         self._dt_s = 1.0 / setup.config.rate_hz
         self._forces = _forces_of(leader, setup.robot)
         self.ticks: list[LinkTick] = []
+        self._openings = np.ones(2)
         self._begin(0, setup.robot.home)
 
     @classmethod
@@ -99,10 +100,11 @@ class LinkedLeader(Leader):
     def align(self, trial: Trial, q_follower: Array) -> None:
         """Begin a link with a new network for the trial."""
         self.leader.align(trial, q_follower)
+        self._openings = np.ones(2)
         self._begin(trial.index, q_follower)
 
     def resume(self, q_follower: Array) -> None:
-        """Lead on over the same network from arms at (n,) [rad]."""
+        """Lead on over the same network from arms at (n,) [rad]; hands keep their openings."""
         self.leader.resume(q_follower)
         ticks = self.ticks
         self._begin(self._index, q_follower)
@@ -126,10 +128,10 @@ class LinkedLeader(Leader):
         self._waits = True
         against = self._link.step(self._led(place, sample.clutch), self._force)
         self._against = against
-        openings = self._grips.exchange(sample.openings[None])[0]
+        self._openings = self._grips.exchange(sample.openings[None])[0].copy()
         self._latest = self._tick(now_s)
         pressed = self._arrived(sample.pressed)
-        sample = replace(sample, openings=openings.copy(), pressed=pressed)
+        sample = replace(sample, openings=self._openings.copy(), pressed=pressed)
         return self._forces.sample_at(self._link.reference, sample)
 
     def feedback(self, feedback: Feedback) -> None:
@@ -163,7 +165,7 @@ class LinkedLeader(Leader):
         networks = [self._network]
         self._link = Link(networks, self._forces.space, settings, rngs, place)
         grips_rng = stream(self._seed, "link/grips", index)
-        self._grips = Channel(networks, self._dt_s, grips_rng, np.ones((1, 2)))
+        self._grips = Channel(networks, self._dt_s, grips_rng, self._openings[None].copy())
         self._force = np.zeros_like(self._link.drift)
         self._against = np.zeros_like(self._link.drift)
         self._place = place
