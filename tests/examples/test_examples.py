@@ -127,6 +127,7 @@ ELSEWHERE = {
     "lead_over_udp.py": "demos/leaders/test_network.py",
     "lead_over_websocket.py": "demos/leaders/test_network_websocket.py",
     "policy_server.py": "policies/test_server.py",
+    "serve_checkpoint.py": "policies/test_server.py",
 }
 """Scripts that the tests of what they lead run."""
 

@@ -7,6 +7,8 @@ import os
 import socket
 import subprocess
 import sys
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +23,7 @@ from minidual.policies.plausible import PolicyStoppedError
 from minidual.policies.policy import Latency, PolicyRuntime
 from minidual.policies.server import SERVER, ServerPolicy
 from minidual.policies.server_address import folder_of, is_address
+from minidual.policies.shipped import shipped_policy
 from minidual.robot.pair import DUAL_PANDA
 from tests.support.documents import ROOT
 from tests.support.policy_server import CHUNK, HELLO, served
@@ -178,11 +181,12 @@ def free_port() -> int:
         return listener.getsockname()[1]
 
 
-def test_the_example_is_a_server_of_another_process() -> None:
-    """It moves the wrists towards the brighter half of the picture."""
+@contextmanager
+def example_server(script: str, *words: str) -> Generator[Path]:
+    """Run a server of examples/ in a process of its own; yield the folder that stands for it."""
     port = free_port()
     server = subprocess.Popen(
-        [sys.executable, str(ROOT / "examples" / "policy_server.py"), "--port", str(port)],
+        [sys.executable, str(ROOT / "examples" / script), *words, "--port", str(port)],
         env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
         stdout=subprocess.PIPE,
         text=True,
@@ -190,15 +194,41 @@ def test_the_example_is_a_server_of_another_process() -> None:
     try:
         assert server.stdout is not None
         assert server.stdout.readline().strip() == f"serving at ws://127.0.0.1:{port}"
-        address = f"ws://127.0.0.1:{port}"
-        runtime = load_runtime(folder_of(address), DeployConfig(), DUAL_PANDA, PLACE)
+        yield folder_of(f"ws://127.0.0.1:{port}")
+    finally:
+        server.kill()
+        server.wait(timeout=30)
+        if server.stdout is not None:
+            server.stdout.close()
+
+
+def test_the_example_is_a_server_of_another_process() -> None:
+    """It moves the wrists towards the brighter half of the picture."""
+    with example_server("policy_server.py") as folder:
+        runtime = load_runtime(folder, DeployConfig(), DUAL_PANDA, PLACE)
         bright = {"high": IMAGES["high"].copy()}
         bright["high"][:, :64] = 255
         chunk = runtime.predict_chunk(bright, STATE)
         assert chunk[0, 6] == pytest.approx(STATE[6] + 0.1)
         assert chunk[0, 0] == pytest.approx(STATE[0])
         runtime.policy.close()
-    finally:
-        server.kill()
-        server.wait(timeout=30)
-        server.stdout.close()
+
+
+@pytest.mark.torch
+def test_a_served_checkpoint_gives_the_actions_that_it_gives_here() -> None:
+    checkpoint = shipped_policy("rod_carry")
+    assert checkpoint is not None
+    own = load_policy(checkpoint)
+    state = STATE.astype(np.float32)
+    pictures = {"high": np.full((*own.cameras["high"], 3), 90, np.uint8)}
+    with example_server("serve_checkpoint.py", str(checkpoint)) as folder:
+        served_policy = load_policy(folder)
+        assert served_policy.cameras == own.cameras
+        assert served_policy.dim == own.dim
+        own.reset()
+        served_policy.reset()
+        expected = own.predict(pictures, state)
+        np.testing.assert_allclose(served_policy.predict(pictures, state), expected, atol=1e-6)
+        with pytest.raises(DataError, match="nothing"):
+            served_policy.predict({"nothing": pictures["high"]}, state)
+        served_policy.close()
