@@ -43,9 +43,14 @@ class RlConfig(StrictModel):
     """Share of the training in which that weight falls to zero."""
     value_warmup: int = Field(default=4, ge=0, le=10_000)
     """Updates of the value alone, before the cloned policy may change."""
+    value_epochs: int = Field(default=20, ge=1, le=1000)
+    """Epochs of each of them."""
 
     # PPO
     learning_rate: float = Field(default=3e-4, gt=0.0, le=1.0)
+    """Of the policy."""
+    value_rate: float = Field(default=1e-3, gt=0.0, le=1.0)
+    """Learning rate of the value."""
     discount: float = Field(default=0.985, gt=0.0, le=1.0)
     gae_lambda: float = Field(default=0.95, gt=0.0, le=1.0)
     epochs: int = Field(default=6, ge=1, le=100)

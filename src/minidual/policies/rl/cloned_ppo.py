@@ -1,9 +1,13 @@
 """PPO that may begin from demonstrations.
 
-The algorithm is that of Stable-Baselines3. Three things are added: the policy copies
-demonstrations before the first update; the value learns alone for a few updates, since an untrained
-value would spoil the copied policy; and each update is followed by steps of cloning whose weight
-falls to zero.
+The algorithm is that of Stable-Baselines3. Four things are added: the policy copies demonstrations
+before the first update; the value learns alone for a few updates, since an untrained value would
+spoil the copied policy; the value learns at a rate of its own; and each update is followed by steps
+of cloning whose weight falls to zero.
+
+A copied policy has little noise, and one step of the usual rate (3e-4) would carry its actions
+further than that noise: the update ends at once by `kl_max`, having gone too far in a direction that
+is mostly chance.
 """
 
 from typing import Any
@@ -20,8 +24,12 @@ from minidual.policies.rl.vector_env import SteppedWorlds
 
 DEVIATION_RANGE = (0.03, 1.0)
 """Bounds of the actions' standard deviation."""
-_VALUE_WEIGHT = 0.5
+_VALUE_WEIGHT = 0.05
+"""Low, so that the value's gradient leaves the policy's its share of `_GRADIENT_MAX`."""
 _GRADIENT_MAX = 0.5
+_ADAM_EPSILON = 1e-5
+_OF_VALUE = "of_value"
+"""Mark of the optimiser's group with the parameters of the value."""
 _CLONE_BATCH = 512
 _CLONE_RATE = 1e-3
 _CLONE_RATE_LAST = 1e-5
@@ -70,6 +78,9 @@ class ClonedPpo(PPO):
     clone_weight: float = 0.0
     clone_until: float = 0.0
     value_warmup: int = 0
+    value_epochs: int = 1
+    value_rate: float = 0.0
+    usual_epochs: int = 1
     updates: int = 0
 
     @property
@@ -81,6 +92,7 @@ class ClonedPpo(PPO):
         """Update policy and value from the collected experience, then clone."""
         for parameter in self._policy_parameters():
             parameter.requires_grad_(not self.warming)
+        self.n_epochs = self.value_epochs if self.warming else self.usual_epochs
         super().train()
         if not self.warming:
             self._clone_a_little()
@@ -88,6 +100,26 @@ class ClonedPpo(PPO):
             low, high = np.log(DEVIATION_RANGE)
             self.policy.log_std.clamp_(low, high)
         self.updates += 1
+
+    def split_rates(self) -> None:
+        """Give the value a rate of its own from here on."""
+        acting = self._policy_parameters()
+        known = {id(parameter) for parameter in acting}
+        judging = [one for one in self.policy.parameters() if id(one) not in known]
+        self.policy.optimizer = torch.optim.Adam(
+            [{"params": acting}, {"params": judging, _OF_VALUE: True}],
+            lr=self.value_rate,
+            eps=_ADAM_EPSILON,
+        )
+
+    def _update_learning_rate(
+        self,
+        optimizers: list[torch.optim.Optimizer] | torch.optim.Optimizer,
+    ) -> None:
+        super()._update_learning_rate(optimizers)
+        for group in self.policy.optimizer.param_groups:
+            if group.get(_OF_VALUE):
+                group["lr"] = self.value_rate
 
     def clone(self, steps: int) -> float:
         """Copy the demonstrations; return the loss of the last step."""
@@ -184,4 +216,8 @@ def make_ppo(
     model.clone_weight = config.clone_weight
     model.clone_until = config.clone_until
     model.value_warmup = config.value_warmup
+    model.value_epochs = config.value_epochs
+    model.value_rate = config.value_rate
+    model.usual_epochs = config.epochs
+    model.split_rates()
     return model

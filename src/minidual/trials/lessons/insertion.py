@@ -44,6 +44,7 @@ class InsertionLesson:
         "clone_steps": 1500,
         "value_warmup": 2,
         "deviation": 0.2,
+        "learning_rate": 6e-5,
         "validation_starts": 24,
         "validate_every_updates": 10,
     }

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
@@ -54,6 +55,7 @@ class TransportLesson:
         action: Name of its action space.
         reward: Terms of the reward.
         demonstrator: Shows how it is done, or None: from scratch.
+        settings: Values of `methods.rl` that suit it; those that are set stay.
     """
 
     def __init__(
@@ -64,7 +66,9 @@ class TransportLesson:
         action: str = "pair_increments",
         reward: Sequence[RewardTerm[LiftState]] = LIFT_REWARD,
         demonstrator: Demonstrator | None = None,
+        settings: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
+        self.settings = dict(settings)
         self._description = Description(task, tuple(observation), action, float(RATE_HZ))
         self._reward = tuple(reward)
         self._demonstrator = demonstrator
