@@ -38,11 +38,11 @@ def answer(policy: ChunkPolicy, name: str, connection: ServerConnection) -> None
     connection.send(pack(hello(policy, name)))
     for data in connection:
         try:
-            message = unpack(bytes(data))
+            message = unpack(data)
             if message["reset"]:
                 policy.reset()
             reply = {"actions": policy.predict(message["images"], message["state"])}
-        except (MinidualError, KeyError, TypeError, ValueError) as error:
+        except (MinidualError, KeyError, ValueError) as error:
             reply = {"error": str(error)}
         connection.send(pack(reply))
 
