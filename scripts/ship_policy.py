@@ -1,12 +1,16 @@
-"""Make the policy of a task that comes with the package, from that of a run, and measure it.
+"""Make a policy that comes with the package, from that of a run, and measure it.
 
 python -m scripts.ship_policy runs/standard --trials 100
+python -m scripts.ship_policy runs/standard --method rl --task pot_lift --trials 100
 """
 
 import argparse
 import json
+import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import yaml
 
@@ -14,6 +18,7 @@ from minidual.config.loader import load_config
 from minidual.config.root import changed
 from minidual.durable import read_json, remove, write_text
 from minidual.errors import UsageError
+from minidual.gate.canonical import file_sha256
 from minidual.policies.act import ActKind
 from minidual.policies.halved import halve
 from minidual.policies.kinds import POLICIES
@@ -27,34 +32,93 @@ from minidual.trials.statistics import wilson_interval
 
 PURPOSE = "shipped"
 """Random stream of the starts, used by no stage and no training."""
-CONDITIONS = (CLEAN, "room")
 WORKERS = 2
+
+
+class Trained(NamedTuple):
+    """A policy of a run.
+
+    Attributes:
+        method, task: What it drives.
+        conditions: On which it is measured.
+        write: Writes its checkpoint into a new folder.
+        training: What the record says of its training.
+    """
+
+    method: str
+    task: str
+    conditions: tuple[str, ...]
+    write: Callable[[Path], None]
+    training: dict[str, Any]
+
+
+def by_imitation(run: Path) -> Trained:
+    """Return the policy of train-act; its weights are halved."""
+    recorded = yaml.safe_load((run / "teleop-record" / "config.yaml").read_text("utf-8"))
+    checkpoint = run / "train-act" / "checkpoint"
+    training = read_json(run / "train-act" / "train.json")
+    return Trained(
+        "act",
+        recorded["task"],
+        (CLEAN, "room"),
+        lambda folder: halve(checkpoint, folder),
+        {
+            "training": read_json(run / "train-act" / "verdict.json")["digest"],
+            "network": network_of(checkpoint),
+            "parameters": training["parameters"],
+            "training_steps": training["steps"],
+            "episodes": len(training["training_episodes"]) + len(training["validation_episodes"]),
+        },
+    )
+
+
+def by_reinforcement(run: Path, task: str) -> Trained:
+    """Return the policy of `train rl`."""
+    trained = run / "train" / "rl" / task
+    training = read_json(trained / "training.json")
+    return Trained(
+        "rl",
+        task,
+        (CLEAN, "randomised"),
+        lambda folder: copy(trained / "checkpoint", folder),
+        {
+            "training": file_sha256(trained / "checkpoint" / "model.safetensors"),
+            "network": "two layers",
+            "parameters": training["parameters"],
+            "training_steps": training["steps"],
+            "demonstrated_actions": training["demonstrated_actions"],
+        },
+    )
+
+
+def copy(checkpoint: Path, folder: Path) -> None:
+    """Copy a checkpoint."""
+    shutil.copytree(checkpoint, folder)
 
 
 def main() -> None:
     """Write the policy's folder and its record."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", type=Path)
+    parser.add_argument("--method", choices=("act", "rl"), default="act")
+    parser.add_argument("--task", default="pot_lift", help="of --method rl")
     parser.add_argument("--trials", type=int, default=100)
-    arguments = parser.parse_args()
-    run: Path = arguments.run
-    recorded = yaml.safe_load((run / "teleop-record" / "config.yaml").read_text("utf-8"))
-    task = recorded["task"]
-    folder = FOLDER / "act" / task
+    options = parser.parse_args()
+    run: Path = options.run
+    trained = by_imitation(run) if options.method == "act" else by_reinforcement(run, options.task)
+    folder = FOLDER / trained.method / trained.task
     remove(folder)
-    halve(run / "train-act" / "checkpoint", folder)
-    training = read_json(run / "train-act" / "train.json")
+    trained.write(folder)
     record: dict[str, object] = {
-        "task": task,
-        "made_by": "python -m scripts.ship_policy RUN",
+        "task": trained.task,
+        "made_by": f"python -m scripts.ship_policy RUN --method {trained.method}",
         "measured_at": git_commit(),
-        "training": read_json(run / "train-act" / "verdict.json")["digest"],
-        "network": network_of(folder),
-        "parameters": training["parameters"],
-        "training_steps": training["steps"],
-        "episodes": len(training["training_episodes"]) + len(training["validation_episodes"]),
+        **trained.training,
     }
-    record["success"] = {name: measure(task, folder, name, arguments.trials) for name in CONDITIONS}
+    record["success"] = {
+        condition: measure(trained, folder, condition, options.trials)
+        for condition in trained.conditions
+    }
     write_text(folder / RECORD, json.dumps(record, indent=2) + "\n")
     size = sum(path.stat().st_size for path in folder.iterdir())
     print(json.dumps(record, indent=2))
@@ -76,14 +140,19 @@ def network_of(checkpoint: Path) -> str:
     return kind.architecture(kind.read(checkpoint).policy.config).name
 
 
-def measure(task_name: str, checkpoint: Path, condition: str, trials_n: int) -> dict[str, object]:
+def measure(
+    trained: Trained,
+    checkpoint: Path,
+    condition: str,
+    trials_n: int,
+) -> dict[str, object]:
     """Return the success of a policy on starts that nothing else uses."""
-    config = changed(load_config("standard", []).config, {"task": task_name})
+    config = changed(load_config("standard", []).config, {"task": trained.task})
     task = make_task(config)
-    inputs = MethodInputs(task.config, config.seed, checkpoint, task_name)
+    inputs = MethodInputs(task.config, config.seed, checkpoint, trained.task)
     draw = draw_under(inputs, condition, PURPOSE)
     trials = [draw(index) for index in range(trials_n)]
-    results = list(run_trials("act", inputs, trials, workers=WORKERS, condition=condition))
+    results = list(run_trials(trained.method, inputs, trials, workers=WORKERS, condition=condition))
     successes_n = sum(result.success for result in results)
     low, high = wilson_interval(successes_n, trials_n)
     return {
