@@ -104,6 +104,7 @@ class Training:
     """The parts of one training."""
 
     def __init__(self, job: RlJob, worlds: SteppedWorlds) -> None:
+        self._began_s = time.process_time()
         self.job = job
         self.worlds = worlds
         self.description: Description = job.lesson.describe(job.config)
@@ -122,7 +123,6 @@ class Training:
         self.best_rate = float("nan")
         self.resumed_from = 0
         self.spent_s = 0.0
-        self._began_s = time.process_time()
 
     def run(self) -> RlTrained:
         """Clone or go on, learn, and return the best policy."""
