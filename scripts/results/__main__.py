@@ -32,10 +32,10 @@ RESULTS = tuple(sorted((ROOT / "docs").glob("results*.md")))
 """The pages of results: each measured number stands on one of them."""
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 """Pages that hold blocks, or quote RESULTS."""
-NO_RESULTS = {"85 of 100", "15 of 20", "6 of 255"}
+NO_RESULTS = {"15 of 20", "6 of 255"}
 """Counts on pages that are no results.
 
-They are a limit of deploy, an acceleration of a data sheet, and levels of a colour.
+They are an acceleration of a data sheet, and levels of a colour.
 """
 FOLDER = Path("runs/results")
 _MINIDUAL = (sys.executable, "-m", "minidual.cli")
