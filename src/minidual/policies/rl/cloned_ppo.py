@@ -5,9 +5,9 @@ before the first update; the value learns alone for a few updates, since an untr
 spoil the copied policy; the value learns at a rate of its own; and each update is followed by steps
 of cloning whose weight falls to zero.
 
-A copied policy has little noise, and one step of the usual rate (3e-4) would carry its actions
-further than that noise: the update ends at once by `kl_max`, having gone too far in a direction that
-is mostly chance.
+A copied policy has little noise. One step of the usual rate (3e-4, deviation 0.1) moves its actions
+by a third of that noise, a divergence of 0.5, where `kl_max` is 0.03: the update ends after it has
+gone too far. A rate of 1.5e-5 (deviation 0.05) gives 0.005.
 """
 
 from typing import Any
