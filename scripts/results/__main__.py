@@ -181,7 +181,7 @@ def _tasks(options: argparse.Namespace) -> Source:
     plan = _plan(options)
     five_tasks.check_fresh(plan, "\n".join(published_pages().values()))
     return Source(
-        lambda: _one(five_tasks.NAME, five_tasks.block(plan)),
+        lambda: _one(five_tasks.block_name(plan), five_tasks.block(plan)),
         lambda: _measure_tasks(plan, options.workers),
         f"{plan.trials_n} trials of each cell in {plan.folder}",
     )

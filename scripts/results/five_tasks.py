@@ -1,4 +1,7 @@
-"""The block `tasks`: success of each method on each task, clean and `randomised`."""
+"""The block `tasks`: success of each method on each task, clean and `randomised`.
+
+One task alone has a block of its own, such as `tasks-sort`.
+"""
 
 import re
 
@@ -12,10 +15,19 @@ from scripts.results.markdown import Origin, origin_line, table
 from scripts.results.trials import CONDITIONS, Cell, Plan, StoredTrial, measured
 
 NAME = "tasks"
+_OWN_BLOCK = f"{NAME}-"
+"""Begins the name of a block that holds one task: one that is measured with other starts or counts."""
 _PAIR = ("moveit", "impedance")
 """Methods that are compared on shared starts."""
 _LEAST_P = 0.0001
 _STARTS = re.compile(r"Starts (?P<first>\d+) to (?P<last>\d+)")
+
+
+def block_name(plan: Plan) -> str:
+    """Return the block of a plan: a plan of one task has a block of its own."""
+    if len(plan.tasks) == 1:
+        return f"{_OWN_BLOCK}{plan.tasks[0]}"
+    return NAME
 
 
 def block(plan: Plan) -> str | None:
@@ -53,16 +65,19 @@ def check_fresh(plan: Plan, published: str) -> None:
     """
     if any(measured(plan, cell) for cell in plan.cells):
         return
-    match = _STARTS.search(blocks(published).get(NAME, ""))
-    if match is None:
-        return
-    first = int(match["first"])
-    last = int(match["last"])
-    if plan.first <= last and first < plan.first + plan.trials_n:
-        raise UsageError(
-            f"starts {first} to {last} are published already",
-            remedy=f"--first {last + 1}",
-        )
+    for name, content in blocks(published).items():
+        if name != NAME and not name.startswith(_OWN_BLOCK):
+            continue
+        match = _STARTS.search(content)
+        if match is None:
+            continue
+        first = int(match["first"])
+        last = int(match["last"])
+        if plan.first <= last and first < plan.first + plan.trials_n:
+            raise UsageError(
+                f"starts {first} to {last} are published already",
+                remedy=f"--first {last + 1}",
+            )
 
 
 def _title(method: str, plan: Plan) -> str:

@@ -44,6 +44,7 @@ Starts 2000 to 2099: 87 of 100.
 
 8 of 100, 1,234 steps.
 """
+PAGE_OF_ONE = f"{PAGE}\n<!-- results: tasks-rod_carry -->\n<!-- /results -->\n"
 
 
 def plan(folder: Path, **changes: Any) -> Plan:
@@ -243,6 +244,20 @@ def test_published_starts_are_not_measured_again(tmp_path: Path, drawn: list[int
     run_cell(plan(tmp_path), CELL, 1, nothing)
     five_tasks.check_fresh(plan(tmp_path), PAGE)
     assert drawn == [2000, 2001, 2002]
+
+
+def test_one_task_alone_has_a_block_of_its_own(tmp_path: Path) -> None:
+    """Its starts are published ones as well."""
+    alone = plan(tmp_path, tasks=("sort",), first=2150)
+    both = plan(tmp_path, tasks=("rod_carry", "sort"), first=2150)
+    assert five_tasks.block_name(alone) == "tasks-sort"
+    assert five_tasks.block_name(both) == "tasks"
+    published = with_blocks(
+        f"{PAGE}\n<!-- results: tasks-sort -->\n<!-- /results -->\n",
+        {"tasks-sort": "Starts 2150 to 2169, successes of 20."},
+    )
+    with pytest.raises(UsageError, match="2150 to 2169 are published"):
+        five_tasks.check_fresh(both, published)
 
 
 # A standard run
@@ -503,7 +518,7 @@ type Call = Callable[..., tuple[int, str, str]]
 def own_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a page that stands for the results."""
     page = tmp_path / "results.md"
-    page.write_text(PAGE, encoding="utf-8")
+    page.write_text(PAGE_OF_ONE, encoding="utf-8")
     monkeypatch.setattr(results, "RESULTS", (page,))
     monkeypatch.setattr(results, "PAGES", (page,))
     monkeypatch.setattr(results, "FOLDER", tmp_path / "made")
@@ -545,14 +560,14 @@ def test_tables_can_be_printed(
     """A trial of the command with few trials must not replace what was published."""
     assert results.main(["--only", "step", "--step", str(bench), "--print"]) == 0
     assert "| `sort`, `moveit` | 62.0 | 2.41 |" in capsys.readouterr().out
-    assert own_page.read_text(encoding="utf-8") == PAGE
+    assert own_page.read_text(encoding="utf-8") == PAGE_OF_ONE
 
 
 def test_a_missing_input_leaves_the_table(call: Call, drawn: list[int]) -> None:
     for words in ((*_TASK, "--first", "3000"), ("--only", "step", "--step", "nowhere.json")):
         code, page, said = call(*words, "--fill")
         assert code == 1
-        assert page == PAGE
+        assert page == PAGE_OF_ONE
         assert "kept, because there is no" in said
     assert drawn == []
 
