@@ -4,8 +4,7 @@
     python examples/serve_checkpoint.py runs/standard/train-act/checkpoint --port 8000
     minidual try rod_carry --method act --checkpoint ws://127.0.0.1:8000
 
-The checkpoint is one of train-act, of any dataset, or one of lerobot-train. docs/lerobot.md has the
-messages.
+The checkpoint is one of train-act or of lerobot-train. docs/lerobot.md has the messages.
 """
 
 import argparse
@@ -52,7 +51,10 @@ if __name__ == "__main__":
     parser.add_argument("checkpoint", type=Path)
     parser.add_argument("--port", type=int, default=8000)
     options = parser.parse_args()
-    handler = partial(answer, load_policy(options.checkpoint), str(options.checkpoint))
+    try:
+        handler = partial(answer, load_policy(options.checkpoint), str(options.checkpoint))
+    except MinidualError as error:
+        parser.error(error.message)
     with serve(handler, "127.0.0.1", options.port, max_size=None, compression=None) as server:
         print(f"serving at ws://127.0.0.1:{options.port}", flush=True)
         server.serve_forever()

@@ -214,6 +214,21 @@ def test_the_example_is_a_server_of_another_process() -> None:
         runtime.policy.close()
 
 
+def test_a_checkpoint_that_is_not_there_is_named(tmp_path: Path) -> None:
+    script = ROOT / "examples" / "serve_checkpoint.py"
+    server = subprocess.run(
+        [sys.executable, str(script), str(tmp_path / "nothing")],
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert server.returncode == 2
+    assert "there is no checkpoint folder" in server.stderr
+    assert "Traceback" not in server.stderr
+
+
 @pytest.mark.torch
 def test_a_served_checkpoint_gives_the_actions_that_it_gives_here() -> None:
     checkpoint = shipped_policy("rod_carry")
