@@ -1,6 +1,5 @@
 """Serve a checkpoint as a policy server: to minidual on another machine, or to other robots.
 
-    pip install 'minidual[server]'
     python examples/serve_checkpoint.py runs/standard/train-act/checkpoint --port 8000
     minidual try rod_carry --method act --checkpoint ws://127.0.0.1:8000
 
