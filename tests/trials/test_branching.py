@@ -8,9 +8,19 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+import psutil
 import pytest
 
 from minidual.trials.branching import BranchError, BranchPoint, Forge, Lost, Trunk, Trunks
+from minidual.workers import processor_time_s
+
+BUSY_S = 0.3
+
+
+def _use_processor(seconds: float) -> None:
+    end = time.process_time() + seconds
+    while time.process_time() < end:
+        pass
 
 
 class Counting:
@@ -38,6 +48,9 @@ class Counting:
                 raise RuntimeError("a copy may break")
             if told == "die":
                 os.kill(os.getpid(), signal.SIGKILL)
+            if told == "compute":
+                _use_processor(BUSY_S)
+                told = 0
             if told == "end":
                 branches.end(("ended", total))
             total += told
@@ -130,6 +143,20 @@ def test_trunks_that_are_given_back_are_used_again(forge: Forge) -> None:
     assert other is not first
     for trunk in (first, other):
         trunk.close()
+
+
+def test_the_processor_time_of_runs_counts_while_they_live_and_after(forge: Forge) -> None:
+    began_s = processor_time_s()
+    trunk = waiting(forge)
+    told(trunk, "compute")
+    assert processor_time_s() - began_s >= 0.9 * BUSY_S
+    trunk.send("end")
+    trunk.receive()
+    trunk.close()
+    of_forge = psutil.Process(forge._process.pid)
+    while of_forge.children():
+        time.sleep(0.01)
+    assert processor_time_s() - began_s >= 0.9 * BUSY_S
 
 
 def test_a_closed_forge_starts_nothing_and_leaves_no_process() -> None:

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,6 +21,7 @@ from minidual.policies.rl.cloned_ppo import ClonedPpo, make_ppo, normalisation_o
 from minidual.policies.rl.lesson import Demonstrated, Lesson, WorldsWanted
 from minidual.policies.rl.network import Description, Normalisation, RlNetwork
 from minidual.policies.rl.vector_env import SteppedWorlds
+from minidual.workers import processor_time_s
 
 TRAINING = "rl-training"
 """Random stream of the starts that the policy tries."""
@@ -70,7 +70,7 @@ class RlTrained(NamedTuple):
         resumed_from: Step from which an interrupted training went on, or 0.
         demonstrations_n: Recorded actions that it began from.
         validation_rate: Success of `network` on the validation starts, or NaN.
-        processor_s: Of this process, since the training began or went on.
+        processor_s: Processor time of the training, interrupted parts included.
     """
 
     network: RlNetwork
@@ -104,7 +104,7 @@ class Training:
     """The parts of one training."""
 
     def __init__(self, job: RlJob, worlds: SteppedWorlds) -> None:
-        self._began_s = time.process_time()
+        self._began_s = processor_time_s()
         self.job = job
         self.worlds = worlds
         self.description: Description = job.lesson.describe(job.config)
@@ -157,7 +157,7 @@ class Training:
     @property
     def processor_s(self) -> float:
         """Processor time of the training, interrupted parts included."""
-        return self.spent_s + time.process_time() - self._began_s
+        return self.spent_s + processor_time_s() - self._began_s
 
     def network(self) -> RlNetwork:
         """Return the present policy.
