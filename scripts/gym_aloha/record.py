@@ -26,7 +26,7 @@ _CAMERA = "top"
 def episode(env: TransferCube, seed: int) -> tuple[list[Observation], list[Array], bool]:
     """Return what was seen and done in an episode of the script, and whether it succeeded."""
     seen = [env.reset(seed)]
-    script = Script(env, np.random.default_rng(seed))
+    script = Script(env)
     actions: list[Array] = []
     last = STEPS_MAX
     succeeded = False

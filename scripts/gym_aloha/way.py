@@ -82,35 +82,29 @@ def turn_between(R_from: Array, R_to: Array) -> Array:
     return turn
 
 
-def ways(
-    cube_m: Array,
-    start: list[tuple[Array, Array]],
-    rng: np.random.Generator,
-) -> list[list[Waypoint]]:
+def ways(cube_m: Array, start: list[tuple[Array, Array]]) -> list[list[Waypoint]]:
     """Return the waypoints of the left and of the right hand."""
-    pace = rng.uniform(0.8, 1.05)
-    exchange_m = _EXCHANGE_M + rng.uniform(-0.02, 0.02, 3)
-    above_m = np.array([0.0, 0.0, _ABOVE_M + rng.uniform(-0.02, 0.03)])
+    above_m = np.array([0.0, 0.0, _ABOVE_M])
     down = np.array([-np.cos(_DOWNWARDS), 0.0, -np.sin(_DOWNWARDS)])
     right = hand(down, np.array([0.0, -1.0, 0.0]))
     left = hand(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
     grasp_m = cube_m + _DEEP_M * down
-    beside_m = exchange_m - np.array([_BESIDE_M, 0.0, 0.0])
+    beside_m = _EXCHANGE_M - np.array([_BESIDE_M, 0.0, 0.0])
     (left_m, R_left), (right_m, R_right) = start
     right_way = [
         Waypoint(0.0, right_m, R_right, 1.0),
-        Waypoint(1.2 * pace, grasp_m + above_m, right, 1.0),
-        Waypoint(1.9 * pace, grasp_m, right, 1.0),
-        Waypoint(2.3 * pace, grasp_m, right, 0.0),
-        Waypoint(3.6 * pace, exchange_m + _DEEP_M * down, right, 0.0),
-        Waypoint(6.0, exchange_m + _DEEP_M * down, right, 0.0),
+        Waypoint(1.2, grasp_m + above_m, right, 1.0),
+        Waypoint(1.9, grasp_m, right, 1.0),
+        Waypoint(2.3, grasp_m, right, 0.0),
+        Waypoint(3.6, _EXCHANGE_M + _DEEP_M * down, right, 0.0),
+        Waypoint(6.0, _EXCHANGE_M + _DEEP_M * down, right, 0.0),
     ]
     left_way = [
         Waypoint(0.0, left_m, R_left, 1.0),
-        Waypoint(1.6 * pace, left_m, R_left, 1.0),
-        Waypoint(3.4 * pace, beside_m, left, 1.0),
-        Waypoint(4.2 * pace, exchange_m, left, 1.0),
-        Waypoint(4.6 * pace, exchange_m, left, 0.0),
-        Waypoint(6.0, exchange_m, left, 0.0),
+        Waypoint(1.6, left_m, R_left, 1.0),
+        Waypoint(3.4, beside_m, left, 1.0),
+        Waypoint(4.2, _EXCHANGE_M, left, 1.0),
+        Waypoint(4.6, _EXCHANGE_M, left, 0.0),
+        Waypoint(6.0, _EXCHANGE_M, left, 0.0),
     ]
     return [left_way, right_way]
