@@ -18,7 +18,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from way import Array, Waypoint, turn_between, waypoint_at, ways
+from way import Array, Hand, Waypoint, pointing, waypoint_at, ways
 
 type Picture = npt.NDArray[np.uint8]
 
@@ -111,9 +111,12 @@ class Script:
         self._model = env.model
         self._solver = mujoco.MjData(env.model)
         self._q = [env.data.qpos[k * _JOINTS_OF_MODEL :][:6].copy() for k in range(2)]
-        cube_m = env.data.body("box").xpos.copy()
-        start = [self._hand_of(env.data, side) for side in _SIDES]
-        self._ways = ways(cube_m, start)
+        self._bases_m = [env.data.body(f"vx300s_{side}").xpos.copy() for side in _SIDES]
+        hands: list[Hand] = []
+        for side, base_m in zip(_SIDES, self._bases_m, strict=True):
+            tip_m, R = self._hand_of(env.data, side)
+            hands.append(Hand(base_m, tip_m, pitch=-float(np.arcsin(R[2, 0]))))
+        self._ways = ways(env.data.body("box").xpos.copy(), *hands)
 
     def action(self, time_s: float) -> Array:
         """Return joints and openings (14,) for a time of the episode."""
@@ -137,6 +140,7 @@ class Script:
         columns = slice(arm * _JOINTS_OF_MODEL, arm * _JOINTS_OF_MODEL + 6)
         data = self._solver
         q = self._q[arm].copy()
+        R_wanted = pointing(self._bases_m[arm], wanted)
         low, high = self._model.jnt_range[columns].T
         jacobian = np.zeros((6, self._model.nv))
         body = self._model.body(f"vx300s_{side}/gripper_link").id
@@ -145,7 +149,7 @@ class Script:
             mujoco.mj_kinematics(self._model, data)
             mujoco.mj_comPos(self._model, data)
             tip_m, R = self._hand_of(data, side)
-            error = np.concatenate([wanted.tip_m - tip_m, turn_between(R, wanted.R)])
+            error = np.concatenate([wanted.tip_m - tip_m, _turn(R, R_wanted)])
             if np.abs(error).max() < _SOLVED:
                 break
             mujoco.mj_jac(self._model, data, jacobian[:3], jacobian[3:], tip_m, body)
@@ -153,3 +157,12 @@ class Script:
             q = q + J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(6), error)
             q = np.clip(q, low, high)
         return q
+
+
+def _turn(R: Array, R_to: Array) -> Array:
+    """Return the rotation vector (3,), in the world, that turns one hand into another."""
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(R_to @ R.T).ravel())
+    turn = np.empty(3)
+    mujoco.mju_quat2Vel(turn, quaternion, 1.0)
+    return turn

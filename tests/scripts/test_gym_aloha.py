@@ -9,12 +9,12 @@ import pytest
 from websockets.sync.client import connect
 
 from scripts.gym_aloha.client import BLEND_STEPS, STEPS_OF_CHUNK, Policy
-from scripts.gym_aloha.way import Waypoint, between, hand, turn_between, waypoint_at, ways
+from scripts.gym_aloha.way import Hand, Waypoint, pointing, waypoint_at, ways
 from tests.support.policy_server import served
 
 CUBE_M = np.array([0.1, 0.45, 0.02])
-AHEAD = hand(np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
-START = [(np.array([-0.17, 0.5, 0.31]), AHEAD), (np.array([0.17, 0.5, 0.31]), AHEAD)]
+LEFT = Hand(np.array([-0.47, 0.5, 0.0]), np.array([-0.17, 0.5, 0.31]), -0.1)
+RIGHT = Hand(np.array([0.47, 0.5, 0.0]), np.array([0.17, 0.5, 0.31]), -0.1)
 PICTURE = np.zeros((120, 160, 3), np.uint8)
 CHUNK = 40
 HELLO = {
@@ -25,34 +25,42 @@ HELLO = {
 }
 
 
-def test_a_turn_is_made_about_one_axis_at_an_even_pace() -> None:
-    R_to = hand(np.array([0.0, 1.0, 0.0]), np.array([-1.0, 0.0, 0.0]))
-    assert between(AHEAD, R_to, 0.0) == pytest.approx(AHEAD)
-    assert between(AHEAD, R_to, 1.0) == pytest.approx(R_to)
-    half = turn_between(AHEAD, between(AHEAD, R_to, 0.5))
-    assert half == pytest.approx([0.0, 0.0, np.pi / 4.0])
-    assert between(AHEAD, AHEAD, 0.5) == pytest.approx(AHEAD)
+@pytest.mark.parametrize(("pitch", "roll"), [(0.0, 0.0), (1.0, 0.0), (0.0, 1.5), (-0.1, -2.0)])
+def test_a_hand_points_away_from_its_base(pitch: float, roll: float) -> None:
+    tip_m = np.array([0.1, 0.45, 0.2])
+    R = pointing(RIGHT.base_m, Waypoint(0.0, tip_m, pitch, roll, 1.0))
+    assert pytest.approx(np.eye(3)) == R.T @ R
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    ahead = R[:, 0]
+    away_m = (tip_m - RIGHT.base_m)[:2]
+    assert ahead[:2] / np.linalg.norm(ahead[:2]) == pytest.approx(away_m / np.linalg.norm(away_m))
+    assert np.arcsin(-ahead[2]) == pytest.approx(pitch)
+    assert R[2, 1] == pytest.approx(np.sin(roll) * np.cos(pitch)), "roll 0 opens horizontally"
 
 
 def test_a_hand_is_at_each_waypoint_at_its_time_and_stays_at_the_last() -> None:
     way = [
-        Waypoint(0.0, np.zeros(3), AHEAD, 1.0),
-        Waypoint(2.0, np.array([0.1, 0.0, 0.0]), AHEAD, 1.0),
-        Waypoint(3.0, np.array([0.1, 0.0, 0.2]), AHEAD, 0.0),
+        Waypoint(0.0, np.zeros(3), 0.0, 0.0, 1.0),
+        Waypoint(2.0, np.array([0.1, 0.0, 0.0]), 0.4, -1.0, 1.0),
+        Waypoint(3.0, np.array([0.1, 0.0, 0.2]), 0.4, -1.0, 0.0),
     ]
     for point in way:
-        assert waypoint_at(way, point.at_s).tip_m == pytest.approx(point.tip_m)
-        assert waypoint_at(way, point.at_s).opening == point.opening
-    assert waypoint_at(way, 1.0).tip_m == pytest.approx([0.05, 0.0, 0.0])
+        there = waypoint_at(way, point.at_s)
+        assert there.tip_m == pytest.approx(point.tip_m)
+        assert (there.pitch, there.roll, there.opening) == point[2:]
+    middle = waypoint_at(way, 1.0)
+    assert middle.tip_m == pytest.approx([0.05, 0.0, 0.0])
+    assert (middle.pitch, middle.roll) == pytest.approx((0.2, -0.5))
     assert waypoint_at(way, 9.0).tip_m == pytest.approx([0.1, 0.0, 0.2])
     early_m = waypoint_at(way, 0.01).tip_m[0]
     assert early_m < 0.1 * 0.01 / 2.0, "a hand starts slowly"
 
 
 def test_the_left_hand_closes_after_the_right_one_has_brought_the_cube() -> None:
-    left, right = ways(CUBE_M, START)
-    for way, (tip_m, _) in zip((left, right), START, strict=True):
-        assert way[0].tip_m == pytest.approx(tip_m)
+    left, right = ways(CUBE_M, LEFT, RIGHT)
+    for way, hand in ((left, LEFT), (right, RIGHT)):
+        assert way[0].tip_m == pytest.approx(hand.tip_m)
+        assert way[0].pitch == hand.pitch
         times_s = [point.at_s for point in way]
         assert times_s == sorted(times_s)
     grasp = next(point for point in right if point.opening == 0.0)
@@ -61,7 +69,9 @@ def test_the_left_hand_closes_after_the_right_one_has_brought_the_cube() -> None
     takes = next(point for point in left if point.opening == 0.0)
     assert takes.at_s > brought.at_s
     assert np.linalg.norm(takes.tip_m - brought.tip_m) <= 0.011
-    across = abs(float(takes.R[:, 1] @ brought.R[:, 1]))
+    left_opens = pointing(LEFT.base_m, takes)[:, 1]
+    right_opens = pointing(RIGHT.base_m, brought)[:, 1]
+    across = abs(float(left_opens @ right_opens))
     assert across == pytest.approx(0.0, abs=1e-9), "the hands pinch other faces"
 
 
