@@ -54,6 +54,7 @@ class EmulatedBus:
         drop: Answers of these ids get lost.
         damage: Answers of these ids have a wrong checksum.
         lose_every: Loses each n-th answer; 0: none.
+        deaf_n: So many readings of all servos to come are not answered.
     """
 
     def __init__(self, positions):
@@ -61,6 +62,7 @@ class EmulatedBus:
         self.drop = set()
         self.damage = set()
         self.lose_every = 0
+        self.deaf_n = 0
         self.answers_n = 0
         self.wrong_crc_n = 0
         self._master, self._slave = pty.openpty()
@@ -106,6 +108,8 @@ class EmulatedBus:
             for each in sorted(self.positions):
                 if servo in (BROADCAST, each):
                     self._answer(each, b"\x06\x04\x26")
+        elif instruction == SYNC_READ and self.deaf_n > 0:
+            self.deaf_n -= 1
         elif instruction == SYNC_READ:
             for each in parameters[4:]:
                 if each in self.positions:

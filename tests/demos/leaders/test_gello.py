@@ -129,6 +129,23 @@ def test_a_lost_or_damaged_answer_is_no_reading_and_is_counted(buses: list[Emula
     bus.close()
 
 
+def test_a_bus_that_is_slow_for_a_moment_is_read(buses: list[EmulatedBus]) -> None:
+    buses[0].deaf_n = 7
+    bus = DynamixelBus(buses[0].port, 57600, IDS)
+    assert buses[0].deaf_n == 0
+    assert bus.read() is not None
+    assert bus.lost_n == 0
+    bus.close()
+
+
+def test_servos_that_answer_a_ping_but_no_reading_are_told_from_missing_ones(
+    buses: list[EmulatedBus],
+) -> None:
+    buses[0].deaf_n = 1000
+    with pytest.raises(EnvironmentMissingError, match="one by one, but never all at once"):
+        DynamixelBus(buses[0].port, 57600, IDS)
+
+
 def test_a_chain_that_loses_some_answers_still_leads(
     leader: GelloLeader,
     buses: list[EmulatedBus],

@@ -15,6 +15,8 @@ _POSITION_BYTES = 4
 _TICKS_PER_TURN = 4096
 _MIDDLE_TICKS = 2048
 _TRIES_N = 5
+_ROUNDS_N = 4
+"""Rounds of so many tries each; a machine that is busy for a moment may miss one round."""
 _IDLE_S = 2e-4
 _JOIN_S = 2.0
 
@@ -53,17 +55,24 @@ class DynamixelBus:
         self._check_answers()
 
     def _check_answers(self) -> None:
-        if any(self.read() is not None for _ in range(_TRIES_N)):
-            self.lost_n = 0
-            return
-        answers, _ = self._packets.broadcastPing(self._port)
+        for _ in range(_ROUNDS_N):
+            if any(self.read() is not None for _ in range(_TRIES_N)):
+                self.lost_n = 0
+                return
+            answers, _ = self._packets.broadcastPing(self._port)
+            missing = [str(servo) for servo in self._ids if servo not in answers]
+            if missing:
+                self.close()
+                present = ", ".join(str(servo) for servo in sorted(answers)) or "none"
+                raise EnvironmentMissingError(
+                    f"no answer from servo {', '.join(missing)} at {self._port_name}; "
+                    f"the ids that answer: {present}",
+                    remedy="check the power, the cables, baud_rate and ids of the file",
+                )
         self.close()
-        missing = [str(servo) for servo in self._ids if servo not in answers]
-        present = ", ".join(str(servo) for servo in sorted(answers)) or "none"
         raise EnvironmentMissingError(
-            f"no answer from servo {', '.join(missing) or 'of any id'} at {self._port_name}; "
-            f"the ids that answer: {present}",
-            remedy="check the power, the cables, baud_rate and ids of the file",
+            f"the servos at {self._port_name} answer one by one, but never all at once",
+            remedy="check the cables, and whether another program reads the port",
         )
 
     def read(self) -> Array | None:
