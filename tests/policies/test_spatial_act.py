@@ -222,6 +222,51 @@ def test_a_switch_counts_once_wherever_in_it_the_looks_fall(
     assert switches.past_n == past_n
 
 
+@pytest.mark.parametrize(
+    ("commanded", "looks", "past_n"),
+    [
+        ((0.9, 0.9), [(-1.3, -1.3), (0.0, 0.0), (0.9, 0.9)], 0),  # the start opens them
+        ((0.9, 0.9), [(-1.3, -1.3), (0.9, 0.9), (-1.1, -1.1)], 1),  # and then they grasp
+        ((0.9, 0.9), [(0.6, 0.6), (-1.1, -1.1)], 1),
+        ((-1.3, -1.3), [(-0.7, -0.7), (0.9, 0.9)], 1),  # they begin with an object, and release
+    ],
+)
+def test_what_the_first_command_does_to_a_gripper_is_no_switch(
+    commanded: tuple[float, float],
+    looks: list[tuple[float, float]],
+    past_n: int,
+) -> None:
+    switches = backbone.Switches(torch.tensor([looks[0]]))
+    switches.begin(torch.tensor([commanded]))
+    for openings in looks[1:]:
+        switches.look(torch.tensor([openings]))
+    assert switches.past_n == past_n
+
+
+def test_a_policy_driven_from_closed_grippers_keeps_its_first_keyframe(
+    demos: Demonstrations,
+) -> None:
+    policy = _policy(demos)
+    policy.eval()
+    looks: list[torch.Tensor] = []
+    policy.model.register_forward_hook(
+        lambda _module, _inputs, output: looks.append(output.keyframes[0, 0]),
+    )
+
+    def look(openings: torch.Tensor) -> torch.Tensor:
+        """Return the first command of the openings."""
+        batch = _batch(demos, 0)
+        batch[backbone.OBS_STATE][0, policy.config.grippers] = openings
+        return policy.predict_action_chunk(batch)[0, 0, policy.config.commanded_grippers]
+
+    commanded = look(torch.tensor([-4.0, -4.0]))
+    look(commanded)
+
+    assert (commanded > -2.0).all(), "the first command opens them"
+    assert torch.allclose(looks[0], looks[1], atol=1e-5)
+    assert looks[0].abs().max() > 0.0
+
+
 def _policy(demos: Demonstrations) -> Any:
     torch.manual_seed(0)
     policy = act.SPATIAL_ACT.make(TrainConfig(**SMALL), demos)

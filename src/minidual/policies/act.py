@@ -149,6 +149,7 @@ class SpatialActKind(ActKind):
             keypoints=config.keypoints,
             keyframes=demos.keyframe_ticks.shape[1],
             grippers=demos.state_grippers,
+            commanded_grippers=demos.commanded_grippers,
             bf16=native_bf16(config.device),
         )
 

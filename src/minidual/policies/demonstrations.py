@@ -115,6 +115,12 @@ class Demonstrations:
         """
         return self._openings("action") if self._openings("state") else []
 
+    @property
+    def commanded_grippers(self) -> list[int]:
+        """Entries of an action that command the openings of a state, one each; else none."""
+        commanded = self._openings("action")
+        return commanded if len(commanded) == len(self.state_grippers) else []
+
     def _openings(self, vector: Literal["state", "action"]) -> list[int]:
         if self.takes is not None:
             return gripper_columns(getattr(self.takes, vector))

@@ -120,10 +120,21 @@ def test_other_actions_are_refused(actions: Any) -> None:
         worlds.step(actions)
 
 
-def test_worlds_begin_once() -> None:
+def test_worlds_are_reset_before_they_are_stepped() -> None:
     worlds = worlds_of(PlayedTrunks())
     with pytest.raises(UsageError, match="before they were reset"):
         worlds.step(np.zeros((2, 5)))
+
+
+def test_worlds_that_begin_again_leave_their_trials_and_take_others() -> None:
+    trunks = PlayedTrunks()
+    worlds = worlds_of(trunks)
     worlds.reset()
-    with pytest.raises(UsageError, match="begin once"):
-        worlds.reset()
+    worlds.step(np.zeros((2, 5)))
+    first = list(trunks.started)
+    worlds.reset()
+    later = trunks.started[len(first) :]
+    assert all(trunk.closed for trunk in first)
+    assert [trunk.copies_n for trunk in later] == [1] * len(later)
+    assert len(later) >= worlds.num_envs
+    worlds.step(np.zeros((2, 5)))

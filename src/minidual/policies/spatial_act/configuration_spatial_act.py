@@ -14,7 +14,8 @@ class SpatialActConfig(ACTConfig):
     A head predicts the actions at the first `keyframes` gripper switches, which `minidual train-act`
     labels. A trainer without such labels, such as `lerobot-train`, leaves `keyframes` at 0: then the
     transformer gets the keypoints. `bf16`: convolve in bfloat16. `grippers` are the entries of a
-    state that are openings.
+    state that are openings, `commanded_grippers` those of an action, in the same order; none if no
+    command belongs to each.
     """
 
     pretrained_backbone_weights: str | None = None
@@ -22,6 +23,7 @@ class SpatialActConfig(ACTConfig):
     keyframes: int = 0
     bf16: bool = False
     grippers: list[int] = field(default_factory=lambda: [-2, -1])
+    commanded_grippers: list[int] = field(default_factory=list)
 
     def transformer(self, input_features: dict[str, PolicyFeature]) -> ACTConfig:
         """Return ACT's configuration for these inputs."""

@@ -75,6 +75,15 @@ class Switches:
         self._reference = openings
         self._direction = torch.zeros_like(openings)
 
+    def begin(self, commanded: Tensor) -> None:
+        """Take the first commanded openings (B, G) [standard deviations of commands].
+
+        A gripper that the first command already opens or closes does not switch: demonstrations
+        count from their first command on.
+        """
+        change = commanded - self._reference
+        self._direction = torch.where(change.abs() > _SWITCHED, change.sign(), self._direction)
+
     def look(self, openings: Tensor) -> None:
         """Take the openings (B, G) of the next look [standard deviations]."""
         change = openings - self._reference
@@ -341,7 +350,11 @@ class SpatialActPolicy(ACTPolicy):
         if self.training:
             self.eval()  # it visits every module: a tenth of an inference
         openings = batch[OBS_STATE][:, self.config.grippers]
-        return self.model(batch, partial(self._mean_look, openings)).actions
+        is_first = self._switches is None
+        actions = self.model(batch, partial(self._mean_look, openings)).actions
+        if is_first and self._switches is not None and self.config.commanded_grippers:
+            self._switches.begin(actions[:, 0, self.config.commanded_grippers])
+        return actions
 
     def _mean_look(self, openings: Tensor, flat: Tensor) -> Tensor:
         """Return the mean of the keyframes (B, K A) predicted since `reset`, 0 for past ones."""

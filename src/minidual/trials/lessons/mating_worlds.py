@@ -90,9 +90,8 @@ class MatingWorlds(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         self._episodes = episodes
         self._workers = workers
         self._once = once
-        self._worlds = [
-            _World(condition, number % episodes) for number, condition in enumerate(conditions)
-        ]
+        self._conditions = list(conditions)
+        self._worlds = self._fresh_worlds()
         self._next_index = 0
         self.lost_n = 0
         """Trials so far that ended before their mating."""
@@ -110,14 +109,13 @@ class MatingWorlds(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         seed: Any = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Floats, dict[str, Any]]:
-        """Begin the first episode in every world; to be called once.
+        """Begin an episode in every world, each from a trial that no earlier one began from.
 
         Raises:
-            UsageError: It was called before.
             DataError: Trial after trial ends before its mating.
         """
-        if self._next_index:
-            raise UsageError("these worlds begin once", remedy="make others")
+        self._leave_trials()
+        self._worlds = self._fresh_worlds()
         waiting = deque(enumerate(self._worlds))
         for _ in range(self._workers):
             self._prepare_one(waiting)
@@ -158,6 +156,18 @@ class MatingWorlds(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
 
     def close_extras(self, **kwargs: Any) -> None:
         """End all trunks."""
+        self._leave_trials()
+
+    # Episodes ----------------------------------------------------------------------------------
+
+    def _fresh_worlds(self) -> list[_World]:
+        return [
+            _World(condition, number % self._episodes)
+            for number, condition in enumerate(self._conditions)
+        ]
+
+    def _leave_trials(self) -> None:
+        """Give back the trunks whose copy has ended; end the others."""
         for world in self._worlds:
             if world.trial is not None and world.resting:
                 self._trunks.keep(*world.trial)
@@ -165,8 +175,6 @@ class MatingWorlds(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
                 world.trial.trunk.close()
             if world.next is not None:
                 world.next.trunk.close()
-
-    # Episodes ----------------------------------------------------------------------------------
 
     def _exchanged(self, actions: Array) -> dict[int, Report]:
         """Give each world its action; return the results of those that do not rest."""
