@@ -13,7 +13,8 @@ from pathlib import Path
 from websockets.sync.server import ServerConnection, serve
 
 from minidual.errors import MinidualError
-from minidual.policies.kinds import ChunkPolicy, load_policy
+from minidual.policies.chunk_policy import ChunkPolicy
+from minidual.policies.kinds import load_policy
 from minidual.policies.messages import pack, unpack
 
 
@@ -39,6 +40,7 @@ def answer(policy: ChunkPolicy, name: str, connection: ServerConnection) -> None
             message = unpack(data)
             if message["reset"]:
                 policy.reset()
+            policy.instruct(message["task"])
             reply = {"actions": policy.predict(message["images"], message["state"])}
         except (MinidualError, KeyError, ValueError) as error:
             reply = {"error": str(error)}

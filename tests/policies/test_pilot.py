@@ -12,7 +12,7 @@ from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.plant.world import World
-from minidual.policies.kinds import ChunkPolicy, Image
+from minidual.policies.chunk_policy import ChunkPolicy, Image
 from minidual.policies.pilot import Picture, PolicyPilot
 from minidual.policies.policy import PolicyRuntime
 from minidual.robot.kinematics import Kinematics

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from minidual.errors import DataError, UsageError
-from minidual.policies.kinds import ChunkPolicy, Image
+from minidual.policies.chunk_policy import ChunkPolicy, Image
 from minidual.policies.policy import PolicyRuntime
 
 IMAGE = {"high": np.zeros((12, 16, 3), np.uint8)}

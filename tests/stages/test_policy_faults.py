@@ -15,7 +15,7 @@ from minidual.demos.rig import PURPOSE
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext
 from minidual.plant.world import World
-from minidual.policies.kinds import ChunkPolicy, Image
+from minidual.policies.chunk_policy import ChunkPolicy, Image
 from minidual.policies.policy import PolicyRuntime
 from minidual.robot.pair import Array
 from minidual.stages import deploy as deploy_stage
@@ -94,7 +94,7 @@ def inference_checks(
     """Return the checks of successful trials with a policy that is slow."""
     policy = SlowPolicy()
     policy.waits = waits
-    monkeypatch.setattr(deploy_stage, "load_runtime", lambda *_: PolicyRuntime(policy))
+    monkeypatch.setattr(deploy_stage, "load_runtime", lambda *_, **_options: PolicyRuntime(policy))
     context = StageContext(folder=tmp_path, config=CONFIG, seed=SEED, profile="standard")
     rates = deploy_stage.measure_inference(tmp_path, context)
     success = replace(resting, success=True, duration_s=5.0)

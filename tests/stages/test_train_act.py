@@ -19,7 +19,7 @@ from minidual.gate.code import Code
 from minidual.gate.progress import Progress
 from minidual.gate.stage import StageContext, StageResult
 from minidual.policies import policy
-from minidual.policies.kinds import ChunkPolicy
+from minidual.policies.chunk_policy import ChunkPolicy
 from minidual.policies.policy import EmittedActions, exercise_checkpoint
 from minidual.robot.pair import DUAL_PANDA
 from minidual.stages import train_act

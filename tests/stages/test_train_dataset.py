@@ -11,9 +11,16 @@ import pytest
 
 from minidual.config.learning import TrainConfig
 from minidual.config.root import Config
+from minidual.demos.lerobot_reader import read_dataset
 from minidual.errors import DataError, ExitCode, UsageError
 from minidual.gate.stage import ToolContext
-from minidual.policies.kinds import ChunkPolicy
+from minidual.policies.chunk_policy import ChunkPolicy
+from minidual.policies.demonstrations import (
+    INSTRUCTIONS_MAX,
+    instructions_of,
+    load_demonstrations,
+)
+from minidual.policies.kinds import load_policy
 from minidual.policies.pilot import load_runtime
 from minidual.policies.takes import Takes, read_takes
 from minidual.robot.pair import DUAL_PANDA
@@ -73,6 +80,51 @@ def test_a_dataset_of_another_robot_trains_a_policy_that_says_what_it_takes(
     assert any("state of 6: shoulder_pan" in line for line in result.lines)
     with pytest.raises(UsageError, match=r"another state than two panda arms: shoulder_pan"):
         load_runtime(checkpoint, Config().deploy, DUAL_PANDA)
+
+
+@pytest.mark.torch
+def test_a_dataset_of_two_tasks_trains_one_policy_that_is_told_which(tmp_path: Path) -> None:
+    tasks = ("stack the cups", "fetch a plate")
+    both = foreign.make(tmp_path / "both", foreign.one_arm(), tasks=tasks)
+    result = train_dataset(context(tmp_path, both, height="16"))
+    assert result.exit_code == ExitCode.PASS, result.lines
+    assert any("instructions: fetch a plate; stack the cups" in line for line in result.lines)
+
+    policy = load_policy(tmp_path / "run" / "train-dataset" / "both" / "checkpoint")
+    assert policy.state_dim == len(ARM)
+    pictures = {name: np.full((*size, 3), 90, np.uint8) for name, size in policy.cameras.items()}
+    state = np.zeros(len(ARM), np.float32)
+    with pytest.raises(UsageError, match="was not told what to do; it was trained to: 'fetch a"):
+        policy.predict(pictures, state)
+    with pytest.raises(UsageError, match=r"cannot do 'wash up'; .* 'stack the cups'"):
+        policy.instruct("wash up")
+    chunks: list[np.ndarray] = []
+    for task in tasks:
+        policy.reset()
+        policy.instruct(task)
+        chunks.append(policy.predict(pictures, state))
+    assert not np.allclose(chunks[0], chunks[1], atol=1e-3)
+
+
+@pytest.mark.torch
+def test_more_instructions_than_a_policy_reads_are_descriptions(tmp_path: Path) -> None:
+    blind = {name: feature for name, feature in foreign.one_arm().items() if name != TOP}
+    tasks = [f"stack cup {number}" for number in range(INSTRUCTIONS_MAX + 1)]
+    many = foreign.make(tmp_path / "many", blind, tasks=tasks)
+    assert instructions_of(read_dataset(many)) == ()
+    fewer = foreign.make(tmp_path / "fewer", blind, tasks=tasks[1:])
+    assert instructions_of(read_dataset(fewer)) == tuple(sorted(tasks[1:]))
+
+
+@pytest.mark.torch
+def test_a_state_tells_the_instruction_of_its_episode(tmp_path: Path) -> None:
+    tasks = ("stack the cups", "fetch a plate", "stack the cups")
+    demos = load_demonstrations(foreign.make(tmp_path / "d", foreign.one_arm(), tasks=tasks), [])
+    told = [demos.instruction(row) for row in range(0, len(demos), foreign.TICKS)]
+    assert told == list(tasks)
+    assert demos.sensed.shape == (len(demos), len(ARM))
+    assert demos.state[:, len(ARM) :].sum(axis=1).tolist() == [1.0] * len(demos)
+    assert set(demos.state_joints) < set(range(len(ARM))), "instructions get no noise"
 
 
 @pytest.mark.torch

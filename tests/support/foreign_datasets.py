@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -73,8 +73,9 @@ def make(
     *,
     fps: int = 20,
     flicker: bool = False,
+    tasks: Sequence[str] = ("stack the cups",) * EPISODES,
 ) -> Path:
-    """Write a dataset with these features at `root`."""
+    """Write a dataset with these features, and an episode of each of `tasks`, at `root`."""
     videos = any(feature["dtype"] == "video" for feature in features.values())
     dataset = lerobot_dataset.LeRobotDataset.create(
         repo_id="somebody/cups",
@@ -87,7 +88,7 @@ def make(
         rgb_encoder=video.RGBEncoderConfig(vcodec="h264", preset="veryfast", pix_fmt="yuv444p"),
     )
     seen = [key for key, feature in features.items() if feature["dtype"] in ("video", "image")]
-    for episode in range(EPISODES):
+    for episode, task in enumerate(tasks):
         shown = {key: pictures(episode, seen.index(key), flicker=flicker) for key in seen}
         moved = {
             key: motion(features[key], episode, lead=0.02 if key == "action" else 0.0)
@@ -100,7 +101,7 @@ def make(
                 if features[key]["shape"][0] == 3:
                     frame[key] = frame[key].transpose(2, 0, 1)
             frame |= {key: values[tick] for key, values in moved.items()}
-            dataset.add_frame({**frame, "task": "stack the cups"})
+            dataset.add_frame({**frame, "task": task})
         dataset.save_episode()
     dataset.finalize()
     return root

@@ -11,7 +11,7 @@ from minidual.policies.policy import PolicyRuntime
 from minidual.policies.server_address import folder_of, is_address
 from minidual.policies.shipped import shipped_policy
 from minidual.robot.pair import robot_from
-from minidual.tasks.catalogue import TASKS
+from minidual.tasks.catalogue import TASKS, make_task
 
 _CONFIG = "config.json"
 
@@ -19,6 +19,7 @@ _CONFIG = "config.json"
 def load_policy(
     policy: str | Path,
     *,
+    task: str = "",
     device: str = "cpu",
     arm: str = "panda",
 ) -> PolicyRuntime:
@@ -32,6 +33,7 @@ def load_policy(
         policy: A task ("rod_carry"), the folder of a checkpoint
             ("runs/standard/train-act/checkpoint", or one of LeRobot's), or the address of a policy
             server ("ws://127.0.0.1:8000").
+        task: Of a policy that was trained on several tasks, the one to do.
         device: "cpu" or "cuda".
         arm: Arm model that was recorded: "panda", "xarm7" or "ur5".
 
@@ -40,8 +42,10 @@ def load_policy(
         DataError: The checkpoint is damaged.
     """
     checkpoint = checkpoint_of(policy)
-    config = configured("rod_carry", {"deploy.device": device})
-    return load_runtime(checkpoint, config.deploy, robot_from(RobotConfig(arm=arm)))
+    config = configured(task or "rod_carry", {"deploy.device": device})
+    robot = robot_from(RobotConfig(arm=arm))
+    instruction = make_task(config).instruction if task else ""
+    return load_runtime(checkpoint, config.deploy, robot, instruction=instruction)
 
 
 def checkpoint_of(policy: str | Path, method: str = "act") -> Path:

@@ -136,6 +136,12 @@ class LeRobotTables:
         self._check_colours(camera, images)
         return images
 
+    def instructions(self) -> list[str]:
+        """Return the instruction of each episode, "" where the dataset keeps none."""
+        if "tasks" not in self._episodes.column_names:
+            return [""] * len(self.starts)
+        return ["; ".join(map(str, texts or ())) for texts in self._episodes["tasks"].to_pylist()]
+
     def recorded_colour(self, camera: str, episode: int) -> Array | None:
         """Return the mean colour (3,) that LeRobot recorded of an episode, None if it did not."""
         column = f"stats/{camera_key(camera)}/mean"

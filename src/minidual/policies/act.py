@@ -24,9 +24,10 @@ from minidual.policies.architectures import (
 )
 from minidual.policies.batches import Stats
 from minidual.policies.checkpoint import CONFIG, WEIGHTS, check_files, check_sizes, read_tensors
+from minidual.policies.chunk_policy import ChunkPolicy
 from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.facts import read_facts
-from minidual.policies.kinds import REMEDY, ChunkPolicy, PolicyKind, Training, TrainResult
+from minidual.policies.kinds import REMEDY, PolicyKind, Training, TrainResult
 from minidual.policies.lerobot_policy import TorchChunkPolicy, Trained
 from minidual.policies.spatial_act.configuration_spatial_act import SpatialActConfig
 from minidual.policies.spatial_act.modeling_spatial_act import SpatialActPolicy

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minidual.demos.lerobot_features import is_own
-from minidual.demos.lerobot_reader import Rows, read_dataset, read_signal
+from minidual.demos.lerobot_reader import LeRobotTables, Rows, read_dataset, read_signal
 from minidual.demos.lerobot_video import Image
 from minidual.demos.quality import grip_changes
 from minidual.demos.signals import DRIVERS
@@ -22,6 +22,8 @@ SWITCH_SHARE_MIN = 0.5
 """Grippers that move less, of the most over all episodes, do not switch."""
 SWITCH_TICKS_MIN = 25
 """Switches no further apart count once: both hands switch together."""
+INSTRUCTIONS_MAX = 16
+"""A policy reads the instruction of a dataset with no more; further ones are descriptions."""
 
 
 @dataclass
@@ -31,7 +33,8 @@ class Demonstrations:
     Attributes:
         images: (N, H, W, 3) uint8 by camera.
         state, action: (N, dim): joints [rad], left then right, gripper openings; of another robot
-            what `takes` names. Behind them a state holds the inputs that `takes` counts.
+            what `takes` names. Behind them a state holds the inputs that `takes` counts, then an
+            entry for each of its instructions: 1 for the one that holds.
         takes: What a policy trained on them takes; None: joints of two arms and two openings.
         driver: (N,) who drove, see `demos.signals.DRIVERS`; None: a leader, in every tick.
         episode_index: (N,) ascending.
@@ -78,8 +81,23 @@ class Demonstrations:
 
     @property
     def state_dim(self) -> int:
-        """Entries of a state, inputs included."""
+        """Entries of a state, inputs and instructions included."""
         return int(self.state.shape[1])
+
+    @property
+    def instructions(self) -> tuple[str, ...]:
+        """Instructions that a state tells, none if they are all the same."""
+        return () if self.takes is None else self.takes.instructions
+
+    @property
+    def sensed(self) -> NDArray[np.float32]:
+        """Joints, openings and inputs (N, entries): the states without instructions."""
+        return self.state[:, : self.state_dim - len(self.instructions)]
+
+    def instruction(self, row: int) -> str:
+        """Return the instruction of a row, or "" if all are the same."""
+        told = self.state[row, self.sensed.shape[1] :]
+        return self.instructions[int(told.argmax())] if self.instructions else ""
 
     @property
     def inputs(self) -> dict[str, int]:
@@ -89,8 +107,8 @@ class Demonstrations:
     @property
     def state_inputs(self) -> list[int]:
         """Entries of a state that are inputs."""
-        inputs_n = sum(self.inputs.values())
-        return list(range(self.state_dim - inputs_n, self.state_dim))
+        sensed_n = self.sensed.shape[1]
+        return list(range(sensed_n - sum(self.inputs.values()), sensed_n))
 
     @property
     def joints(self) -> list[int]:
@@ -99,8 +117,8 @@ class Demonstrations:
 
     @property
     def state_joints(self) -> list[int]:
-        """Entries of a state that are neither openings nor inputs."""
-        return _without(self.state_dim, [*self._openings("state"), *self.state_inputs])
+        """Entries of a state that are neither openings nor inputs nor instructions."""
+        return _without(self.sensed.shape[1], [*self._openings("state"), *self.state_inputs])
 
     @property
     def state_grippers(self) -> list[int]:
@@ -150,7 +168,7 @@ class Demonstrations:
         if len(self) == 0:
             raise DataError("the dataset holds no ticks", remedy="minidual teleop-record")
         is_own = self.takes is None or self.takes.radians
-        measured = (len(self.state), self.state_dim - sum(self.inputs.values()))
+        measured = (len(self.state), self.sensed.shape[1] - sum(self.inputs.values()))
         if is_own and (measured != self.action.shape or self.dim <= GRIPPERS_N):
             raise DataError(
                 f"dataset column 'action' has shape {self.action.shape}, "
@@ -187,6 +205,7 @@ def load_demonstrations(
     """
     tables = read_dataset(root)
     signals = {name: read_input(root, name) for name in inputs}
+    instructions = instructions_of(tables)
     images = {
         camera: tables.images(camera, progress, folder=folder, height=height)
         for camera in sorted(cameras or tables.cameras)
@@ -195,6 +214,7 @@ def load_demonstrations(
         state=tables.names,
         action=tables.action_names,
         inputs={name: values.shape[1] for name, values in signals.items()},
+        instructions=instructions,
         rate_hz=tables.fps,
         robot=tables.info.robot,
         radians=is_own(root),
@@ -203,12 +223,28 @@ def load_demonstrations(
     takes = takes.with_cameras(sizes)
     return Demonstrations(
         images,
-        np.concatenate([tables.state, *signals.values()], axis=1),
+        np.concatenate([tables.state, *signals.values(), _told(tables, instructions)], axis=1),
         tables.action,
         tables.episode_index,
         takes,
         _driver(root),
     )
+
+
+def instructions_of(tables: LeRobotTables) -> tuple[str, ...]:
+    """Return the instructions that a policy has to read: none if all are the same, or too many."""
+    found = sorted(set(tables.instructions()))
+    return tuple(found) if 1 < len(found) <= INSTRUCTIONS_MAX else ()
+
+
+def _told(tables: LeRobotTables, instructions: Sequence[str]) -> NDArray[np.float32]:
+    """Return an entry for each instruction (N, entries): 1 for the one of the tick's episode."""
+    told = np.zeros((len(tables), len(instructions)), dtype=np.float32)
+    if instructions:
+        spans = zip(tables.starts, tables.stops, tables.instructions(), strict=True)
+        for start, stop, instruction in spans:
+            told[start:stop, instructions.index(instruction)] = 1.0
+    return told
 
 
 def _driver(root: Path) -> Rows | None:

@@ -21,10 +21,11 @@ from minidual.policies.architectures import (
     STOCK_DIFFUSION,
     Architecture,
 )
+from minidual.policies.chunk_policy import ChunkPolicy
 from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.draws import same_draws
 from minidual.policies.foreign import FOREIGN
-from minidual.policies.kinds import ChunkPolicy, Training, TrainResult, require_library
+from minidual.policies.kinds import Training, TrainResult, require_library
 from minidual.policies.spatial_act.configuration_spatial_act import SpatialActConfig
 from minidual.policies.spatial_diffusion.configuration_spatial_diffusion import (
     SpatialDiffusionConfig,

@@ -20,8 +20,9 @@ from minidual.policies.checkpoint import (
     check_files,
     check_sizes,
 )
+from minidual.policies.chunk_policy import ChunkPolicy
 from minidual.policies.facts import read_facts
-from minidual.policies.kinds import POLICIES, ChunkPolicy, PolicyKind, Training, TrainResult
+from minidual.policies.kinds import POLICIES, PolicyKind, Training, TrainResult
 from minidual.policies.lerobot_policy import (
     DenoisedChunkPolicy,
     TorchChunkPolicy,

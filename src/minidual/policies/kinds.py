@@ -2,78 +2,24 @@
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from minidual.config.learning import TrainConfig
 from minidual.durable import read_json, reading, write_csv
 from minidual.errors import DataError, EnvironmentMissingError
+from minidual.policies.chunk_policy import ChunkPolicy
 from minidual.policies.demonstrations import Demonstrations
-from minidual.policies.facts import PolicyFacts
+from minidual.policies.instructed import InstructedPolicy
 from minidual.policies.takes import read_takes
 from minidual.registry import Registry
 
-Image = NDArray[np.uint8]
 Advance = Callable[[int, float], None]
 """Arguments: steps since the last call, loss."""
 REMEDY = "minidual train-act"
-
-
-class ChunkPolicy(ABC):
-    """A loaded checkpoint.
-
-    Attributes:
-        cameras: Image size (H, W) by camera.
-        chunk_size: Actions per inference.
-        dim: Entries of an action: of two arms the number of joints, plus two grippers.
-        own_pace: It looks at every tick and keeps its own queue of actions; `chunk_size` is 1.
-        answer_s: Wall time of its last answer that counts as simulated time: 0 for a policy of this
-            process, for which the simulation waits.
-        facts: What is known of its training.
-        inputs: {recorded signal: entries} that a state holds behind joints and openings.
-    """
-
-    cameras: Mapping[str, tuple[int, int]]
-    chunk_size: int
-    dim: int
-    own_pace: bool = False
-    answer_s: float = 0.0
-    facts: PolicyFacts = PolicyFacts()
-    inputs: Mapping[str, int] = MappingProxyType({})
-
-    @property
-    def state_dim(self) -> int:
-        """Entries of a state, inputs included."""
-        return self.dim + self.inputs_n
-
-    @property
-    def inputs_n(self) -> int:
-        """Entries of all inputs."""
-        return sum(self.inputs.values())
-
-    def reset(self) -> None:  # noqa: B027
-        """Forget earlier observations: a new episode begins."""
-
-    def instruct(self, task: str) -> None:  # noqa: B027
-        """Take the task's instruction, for policies that read one."""
-
-    @abstractmethod
-    def predict(
-        self,
-        images: Mapping[str, Image],
-        state: NDArray[np.float32],
-    ) -> NDArray[np.float64]:
-        """Return actions (chunk_size, dim): joint targets [rad], then openings.
-
-        `images`: (H, W, 3). `state`: (state_dim,), as measured: joints, openings, inputs.
-        """
 
 
 @dataclass(frozen=True)
@@ -205,8 +151,11 @@ def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -
         row = _OTHERS[kind if kind in _OTHERS else "lerobot"]
     policy = row.load(folder, device, threads)
     takes = read_takes(folder)
-    if takes is not None:
-        policy.inputs = takes.inputs
+    if takes is None:
+        return policy
+    if takes.instructions:
+        policy = InstructedPolicy(policy, takes.instructions)
+    policy.inputs = takes.inputs
     return policy
 
 

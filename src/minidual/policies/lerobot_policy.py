@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from minidual.demos.lerobot_reader import STATE, camera_name
 from minidual.errors import DataError
 from minidual.plant.cameras import CAMERAS
+from minidual.policies.chunk_policy import ChunkPolicy, Image
 from minidual.policies.draws import same_draws
-from minidual.policies.kinds import ChunkPolicy, Image
 
 
 class Trained(NamedTuple):

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from minidual.policies.kinds import Image
+from minidual.policies.chunk_policy import Image
 
 CELL_PX = 8
 

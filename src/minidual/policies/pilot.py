@@ -14,8 +14,9 @@ from minidual.demos.sensed import SensedInputs
 from minidual.errors import DataError
 from minidual.plant.cameras import CAMERAS
 from minidual.plant.protocol import Plant, openings_of
+from minidual.policies.chunk_policy import ChunkPolicy, Image
 from minidual.policies.facts import Driver, Place, require_fit
-from minidual.policies.kinds import ChunkPolicy, Image, load_policy
+from minidual.policies.kinds import load_policy
 from minidual.policies.plausible import PolicyStoppedError
 from minidual.policies.policy import AS_MEASURED, Latency, PolicyRuntime
 from minidual.policies.takes import read_takes, require_arms, require_scene
@@ -34,14 +35,16 @@ def load_runtime(
     config: DeployConfig,
     robot: Robot,
     place: Place | None = None,
+    instruction: str = "",
 ) -> PolicyRuntime:
     """Load a checkpoint, clamped to the limits of joints and openings.
 
     With `place` its cameras, joints, rate, statistics and units are compared with what is there.
+    A policy that reads an instruction is told `instruction`.
 
     Raises:
         DataError: Corrupt checkpoint.
-        UsageError: One for other arms, cameras or rates.
+        UsageError: One for other arms, cameras, rates or tasks.
     """
     takes = read_takes(checkpoint)
     if takes is not None:
@@ -49,6 +52,8 @@ def load_runtime(
         if place is not None:
             require_scene(takes, checkpoint, place.picture_px, place.rate_hz)
     policy = load_policy(checkpoint, config.device, config.threads)
+    if instruction:
+        policy.instruct(instruction)
     if place is None:
         latency = AS_MEASURED
     else:

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from minidual.demos.lerobot_features import STATE
 from minidual.errors import DataError, UsageError
+from minidual.policies.chunk_policy import ChunkPolicy, Image
 from minidual.policies.chunks import ChunkQueue
 from minidual.policies.demonstrations import Demonstrations
-from minidual.policies.kinds import ChunkPolicy, Image, load_policy
+from minidual.policies.kinds import load_policy
 from minidual.policies.plausible import Plausible, PolicyStoppedError
 from minidual.robot.pair import GRIPPERS_N, Array, Robot
 
@@ -137,7 +138,7 @@ class PolicyRuntime:
         inputs = np.zeros(self.policy.inputs_n)
         mean = self.policy.facts.middles.get(STATE)
         if mean is not None and self.policy.inputs_n:
-            inputs = np.array(mean[-self.policy.inputs_n :], dtype=float)
+            inputs = np.array(mean[len(measured) :][: self.policy.inputs_n], dtype=float)
         return np.concatenate([measured, inputs])
 
     def reset(self) -> None:
@@ -290,7 +291,8 @@ def exercise_checkpoint(
     for row in rows:
         images = {camera: demos.images[camera][row] for camera in demos.cameras}
         runtime.reset()
-        chunks.append(runtime.predict_chunk(images, demos.state[row].astype(np.float64)))
+        runtime.policy.instruct(demos.instruction(row))
+        chunks.append(runtime.predict_chunk(images, demos.sensed[row].astype(np.float64)))
     actions = np.concatenate(chunks)
     targets_n = actions.shape[1]
     if targets_n != robot.dof + GRIPPERS_N:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from minidual import durable
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
+from minidual.policies.chunk_policy import ChunkPolicy, Image
 from minidual.policies.facts import PolicyFacts
-from minidual.policies.kinds import ChunkPolicy, Image, PolicyKind, Training, TrainResult
+from minidual.policies.kinds import PolicyKind, Training, TrainResult
 from minidual.policies.messages import hello_of, pack, unpack
 
 _OPEN_TIMEOUT_S = 10.0

@@ -30,6 +30,8 @@ class Takes(StrictModel):
     Attributes:
         state, action: Entries of a state and of an action.
         inputs: {recorded signal: entries} that the policy reads behind the state, in this order.
+        instructions: Of a policy for several tasks, which reads behind the inputs the one that
+            holds (`policies.instructed`); else none.
         cameras: (H, W) by feature, such as "observation.images.cam_high".
         rate_hz: Of its ticks.
         robot: Type of the robot, or "".
@@ -39,6 +41,7 @@ class Takes(StrictModel):
     state: tuple[str, ...] = Field(min_length=1)
     action: tuple[str, ...] = Field(min_length=1)
     inputs: dict[str, Annotated[int, Field(ge=1, le=4096)]] = Field(default={})
+    instructions: tuple[str, ...] = ()
     cameras: dict[str, tuple[int, int]] = Field(default={})
     rate_hz: float = Field(gt=0.0)
     robot: str = ""
@@ -56,6 +59,7 @@ class Takes(StrictModel):
         return [
             f"state of {len(self.state)}: {shortened(self.state)}",
             *([f"inputs: {', '.join(inputs)}"] if inputs else []),
+            *([f"instructions: {'; '.join(self.instructions)}"] if self.instructions else []),
             f"action of {len(self.action)}: {shortened(self.action)}",
             f"pictures: {', '.join(pictures) or 'none'}",
             f"rate: {self.rate_hz:g} Hz",

@@ -244,7 +244,9 @@ def _looks_check(context: StageContext, checkpoint: Path, trial: Trial) -> Check
     """Cover patches of each picture, and draw how far the joint targets change."""
     config = context.config
     bench = Bench(METHOD, MethodInputs(config, context.seed, checkpoint))
-    runtime = load_runtime(checkpoint, config.deploy, bench.world.robot)
+    runtime = load_runtime(
+        checkpoint, config.deploy, bench.world.robot, instruction=bench.task.instruction
+    )
     world = bench.world
     world.reset(poses=trial.start)
     state = runtime.with_usual_inputs(np.concatenate([world.q, world.gripper]))
@@ -281,8 +283,10 @@ def _targets_of(
 
 def measure_inference(checkpoint: Path, context: StageContext) -> InferenceRates:
     """Return the rates of the runtime, run alone."""
-    robot = robot_from(context.config.robot)
-    runtime = load_runtime(checkpoint, context.config.deploy, robot)
+    config = context.config
+    robot = robot_from(config.robot)
+    instruction = make_task(config).instruction
+    runtime = load_runtime(checkpoint, config.deploy, robot, instruction=instruction)
     rng = stream(context.seed, "deploy/inference")
     state = runtime.with_usual_inputs(np.concatenate([robot.home, np.ones(2)]))
     for _ in range(_INFERENCES_N):

@@ -170,9 +170,9 @@ def _demo(
                 modes_turns.teleop(stack, operator, trial, seed, rate_hz, place.known_object)
             )
         elif checkpoint is not None and place.world is not None and place.senses is not None:
-            runtime = load_runtime(checkpoint, config.deploy, robot)
-            picture = place.senses.picture
             task = make_task(config)
+            runtime = load_runtime(checkpoint, config.deploy, robot, instruction=task.instruction)
+            picture = place.senses.picture
             turns.append(
                 modes_turns.policy(stack, runtime, picture, task, trial, place.world),
             )

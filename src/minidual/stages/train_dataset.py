@@ -139,7 +139,8 @@ def exercised(policy: ChunkPolicy, demos: Demonstrations) -> Imitation:
     for row in rows:
         policy.reset()
         images = {camera: demos.images[camera][row] for camera in demos.cameras}
-        predicted.append(policy.predict(images, demos.state[row])[0])
+        policy.instruct(demos.instruction(row))
+        predicted.append(policy.predict(images, demos.sensed[row])[0])
     inference_hz = len(rows) / (time.perf_counter() - started)
     actions = np.array(predicted)
     recorded = demos.action[rows].astype(float)

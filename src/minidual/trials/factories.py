@@ -163,8 +163,8 @@ def policy(inputs: MethodInputs) -> Factory:
     robot = inputs.robot
     pictures = config.scene.camera
     place = Place((pictures.height_px, pictures.width_px), config.teleop.rate_hz)
-    runtime = load_runtime(inputs.checkpoint, config.deploy, robot, place)
-    runtime.policy.instruct(make_task(config).instruction)
+    instruction = make_task(config).instruction
+    runtime = load_runtime(inputs.checkpoint, config.deploy, robot, place, instruction)
     supervisor = trial_supervisor(config.supervisor, inputs.period_s, robot)
     senses = inputs.sensed
 

@@ -4,13 +4,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 
 from minidual.demos.data.source import DataEpisode, DataSource, EpisodeReading, Image, force_sizes
-from minidual.demos.lerobot_features import reading
 from minidual.demos.lerobot_reader import read_dataset, read_signal
-from minidual.demos.lerobot_video import BYTES_MAX
-from minidual.durable import regular_file
 
 
 class LeRobotSource(DataSource):
@@ -25,7 +21,7 @@ class LeRobotSource(DataSource):
     def __init__(self, root: Path) -> None:
         self.root = root
         self.tables = read_dataset(root)
-        self._tasks = _task_texts(root)
+        self._instructions = self.tables.instructions()
 
     def __len__(self) -> int:
         return len(self.tables.starts)
@@ -50,7 +46,7 @@ class LeRobotSource(DataSource):
                     None if wrench is None else wrench[rows].astype(float),
                     None if internal is None else internal[rows].astype(float),
                 ),
-                task=self._tasks.get(number, ""),
+                task=self._instructions[number],
             )
             yield EpisodeReading(episode.name, episode)
 
@@ -69,17 +65,3 @@ class LeRobotSource(DataSource):
             if len(gathered) == lengths[number]:
                 yield number, np.stack(gathered)
                 gathered = []
-
-
-def _task_texts(root: Path) -> dict[int, str]:
-    """Return the instruction of each episode; none where the dataset keeps none."""
-    texts: dict[int, str] = {}
-    with reading(root / "meta/episodes", root):
-        for path in sorted((root / "meta" / "episodes").glob("chunk-*/file-*.parquet")):
-            table = pq.read_table(regular_file(path, BYTES_MAX))
-            if "tasks" not in table.column_names:
-                return {}
-            numbers = table["episode_index"].to_pylist()
-            for number, tasks in zip(numbers, table["tasks"].to_pylist(), strict=True):
-                texts[int(number)] = "; ".join(map(str, tasks or ()))
-    return texts
