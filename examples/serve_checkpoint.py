@@ -1,9 +1,7 @@
-"""Serve a checkpoint as a policy server: to minidual on another machine, or to other robots.
+"""Serve a checkpoint of train-act or of lerobot-train; docs/lerobot.md has the messages.
 
     python examples/serve_checkpoint.py runs/standard/train-act/checkpoint --port 8000
     minidual try rod_carry --method act --checkpoint ws://127.0.0.1:8000
-
-The checkpoint is one of train-act or of lerobot-train. docs/lerobot.md has the messages.
 """
 
 import argparse
@@ -13,8 +11,7 @@ from pathlib import Path
 from websockets.sync.server import ServerConnection, serve
 
 from minidual.errors import MinidualError
-from minidual.policies.chunk_policy import ChunkPolicy
-from minidual.policies.kinds import load_policy
+from minidual.policies.kinds import ChunkPolicy, load_policy
 from minidual.policies.messages import pack, unpack
 
 
@@ -40,7 +37,7 @@ def answer(policy: ChunkPolicy, name: str, connection: ServerConnection) -> None
             message = unpack(data)
             if message["reset"]:
                 policy.reset()
-            policy.instruct(message["task"])
+                policy.instruct(message["task"])
             reply = {"actions": policy.predict(message["images"], message["state"])}
         except (MinidualError, KeyError, ValueError) as error:
             reply = {"error": str(error)}
