@@ -1,5 +1,6 @@
 """Serve a checkpoint of train-act or of lerobot-train; docs/lerobot.md has the messages.
 
+Other machines and other robots can ask it:
     python examples/serve_checkpoint.py runs/standard/train-act/checkpoint --port 8000
     minidual try rod_carry --method act --checkpoint ws://127.0.0.1:8000
 """
