@@ -44,7 +44,10 @@ class InstructedPolicy(ChunkPolicy):
             UsageError: The policy was not trained on it.
         """
         if task not in self._instructions:
-            raise UsageError(f"the policy cannot do '{task}'; {self._choice()}")
+            raise UsageError(
+                f"the policy cannot do '{task}'; {self._choice()}",
+                remedy="train one on both: minidual data merge, then train-act --dataset",
+            )
         self._told = np.array([task == own for own in self._instructions], dtype=np.float32)
 
     def predict(
