@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
+from matplotlib.text import Text
 
 from minidual.config.root import Config
 from minidual.plant.world import World
@@ -112,6 +113,27 @@ def test_a_sheet_and_a_film_show_the_postures_that_were_kept(tmp_path: Path) -> 
     assert picture[40:, :half].std() > 0.05
     assert picture[40:, half:].std() > 0.05
     assert film_postures(model, keep.qpos, tmp_path / "film.mp4") == 3
+
+
+def test_a_long_title_does_not_run_into_the_next_image(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    figures: list[Any] = []
+    make = canvas.new_figure
+
+    def keep(*size: Any) -> Any:
+        figures.append(make(*size))
+        return figures[-1]
+
+    monkeypatch.setattr(canvas, "new_figure", keep)
+    long = "object let go in the air, or moved after its release, at 18.66 s"
+    image = np.zeros((30, 40, 3), np.uint8)
+    canvas.sheet([(long, image), (long, image)], 2, tmp_path / "sheet.png")
+    _, axes = figures[0]
+    for axis in axes.flat:
+        (title,) = [text for text in axis.findobj(Text) if text.get_text().split() == long.split()]
+        assert title.get_window_extent().x1 <= axis.get_window_extent().x1
 
 
 def test_a_failed_trial_is_drawn_before_as_and_after_it_failed(

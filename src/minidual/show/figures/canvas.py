@@ -1,5 +1,6 @@
 """Shared style of the figures."""
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,10 @@ LINES = (
     (INK, (0, (8, 3))),
 )
 """Colour and dashes of the lines of a plot: they are told apart in grey too."""
+
+
+_CHARACTERS_PER_IN = 13
+"""Of a title over an image, at most: wider ones would run into the next."""
 
 
 def new_figure(
@@ -85,7 +90,8 @@ def sheet(
         axis.set_axis_off()
     for axis, (name, image) in zip(axes.flat, images, strict=False):  # the last row may be short
         axis.imshow(image)
-        axis.set_title(name, fontsize=10, loc="left")
+        lines = textwrap.fill(name, round(_CHARACTERS_PER_IN * width_in))
+        axis.set_title(lines, fontsize=10, loc="left")
     if title:
         figure.suptitle(title, fontsize=12)
     with replacing(path) as partial:  # `plan --picture` may replace a user's file

@@ -1,6 +1,5 @@
 """Films of trials and postures."""
 
-import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -77,7 +76,7 @@ def _failure(inputs: MethodInputs, trial: Trial, result: TrialMetrics) -> list[t
     return [
         (f"{result.method}, {result.condition}, trial {result.index}", before),
         (f"{failure_words(result.failure)}, at {result.failed_at_s:.2f} s", at_failure),
-        (textwrap.fill(result.reason, 46), after),
+        (result.reason, after),
     ]
 
 
