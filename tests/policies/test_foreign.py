@@ -171,7 +171,7 @@ def test_a_library_that_is_missing_is_named(
     def missing(name: str) -> None:
         raise ImportError("'diffusers' is required")
 
-    monkeypatch.setattr(foreign, "get_policy_class", missing)
+    monkeypatch.setattr("minidual.policies.foreign.get_policy_class", missing)
     with pytest.raises(EnvironmentMissingError, match="needs a library that is not installed"):
         load_policy(vqbet)
 

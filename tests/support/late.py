@@ -14,10 +14,10 @@ class _Late(ModuleType):
         return getattr(importlib.import_module(self.__name__), name)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        setattr(importlib.import_module(self.__name__), name, value)
-
-    def __delattr__(self, name: str) -> None:
-        delattr(importlib.import_module(self.__name__), name)
+        # monkeypatch would take it back by deleting it: it looks for it in the stand-in's own names.
+        raise TypeError(
+            f"patch the module itself: monkeypatch.setattr('{self.__name__}.{name}', ...)"
+        )
 
 
 def late(name: str) -> Any:
