@@ -19,6 +19,7 @@ from scripts.campaign.configuration import override_cases
 from scripts.campaign.kinds import KINDS
 from scripts.campaign.processes import orphans
 from tests.support import data_samples
+from tests.support.children import fork_child
 
 Body = Callable[[Place, Result], object]
 
@@ -86,11 +87,12 @@ def test_a_case_draws_the_same_numbers_in_every_campaign(tmp_path: Path) -> None
 
 
 def test_an_orphan_is_named_and_ended() -> None:
-    child = os.fork()
-    if child == 0:
+
+    def live_apart() -> None:
         os.setsid()
         time.sleep(30)
-        os._exit(0)
+
+    child = fork_child(live_apart)
     deadline_s = time.monotonic() + 30.0
     while os.getsid(child) != child and time.monotonic() < deadline_s:
         time.sleep(0.01)

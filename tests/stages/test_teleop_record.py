@@ -41,10 +41,9 @@ from minidual.stages.registry import STAGES, TOOLS
 from minidual.stages.teleop_record import READS, record_checks, recording_inputs, run
 from minidual.tasks.catalogue import make_task
 from minidual.trials.conditions import rooms
-from tests.support.late import late
+from tests.support.children import fork_child
 from tests.support.recording_toys import TICKS, ToyRig, hang_in_conversion, job
 
-lerobot_adapter = late("minidual.demos.lerobot_adapter")
 pytestmark = pytest.mark.torch
 
 CONFIG = Config()
@@ -523,10 +522,7 @@ def _files(folder: Path) -> dict[str, bytes]:
 
 def _killed_after(seconds: float, job: Job) -> bool:
     """Record in a child process that is killed; return whether it ended before that."""
-    child = os.fork()
-    if child == 0:
-        record(job, workers=1)
-        os._exit(0)
+    child = fork_child(lambda: record(job, workers=1))
     time.sleep(seconds)
     os.kill(child, signal.SIGKILL)
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
@@ -707,11 +703,12 @@ def test_the_command_typed_again_after_a_kill_goes_on(
         "minidual.stages.teleop_record.film_demonstration",
         lambda job, index, path: path.touch(),
     )
-    child = os.fork()
-    if child == 0:
-        lerobot_adapter.convert = hang_in_conversion
+
+    def hang() -> None:
+        monkeypatch.setattr("minidual.demos.lerobot_adapter.convert", hang_in_conversion)
         run_command_line(typed, STAGES, TOOLS)
-        os._exit(1)
+
+    child = fork_child(hang)
     _wait_for(folder, f".lerobot.{child}.partial")
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)

@@ -12,6 +12,8 @@ from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection, Pipe
 from typing import Any
 
+from tests.support.children import fork_child
+
 
 class Branches[State, Point]:
     """A run and its copies; a context manager.
@@ -32,20 +34,13 @@ class Branches[State, Point]:
     ) -> None:
         pipes = {point: Pipe() for point in points}
         self._ours = {point: ours for point, (ours, _) in pipes.items()}
-        self._trunk = os.fork()
-        if self._trunk == 0:
+
+        def grow() -> None:
             for ours, _ in pipes.values():
                 ours.close()
-            try:
-                _grow(
-                    start(),
-                    step,
-                    reached,
-                    {point: theirs for point, (_, theirs) in pipes.items()},
-                )
-            except BaseException:  # pytest, of which this is a copy, must not go on here
-                traceback.print_exc()
-            os._exit(0)
+            _grow(start(), step, reached, {point: theirs for point, (_, theirs) in pipes.items()})
+
+        self._trunk = fork_child(grow)
         for _, theirs in pipes.values():
             theirs.close()
 
