@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from minidual.config.control import ArbiterConfig
@@ -107,7 +107,7 @@ class Witness:
         if self.stack.reflex is not None and not self._recovered():
             return
         before = self.stack.manager.active
-        busy = self.stack.executing
+        busy = self.stack.executing or self.stack.stopping
         try:
             self.stack.request(mode, controllers)
         except ControllerSwitchError as error:
@@ -408,8 +408,19 @@ def test_hands_that_leave_an_imagined_object_stop_once_by_its_name() -> None:
     assert np.abs(witness.plant.v).max() < 0.05
 
 
+ASKED_WHILE_STOPPING: list[Event] = [
+    ("run", 1),
+    ("request", "teleop", None),
+    ("run", 60),
+    ("stream", "teleop", "both_arms", 0.05, 0.0, "", 4),
+    ("halt", "moveit", False),
+    ("request", "teleop", ("object_impedance",)),
+]
+
+
 @settings(max_examples=15)
 @given(histories)
+@example(ASKED_WHILE_STOPPING)
 def test_the_same_history_gives_the_same_torques(history: list[Event]) -> None:
     first = Witness()
     second = Witness()
