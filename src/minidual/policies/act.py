@@ -148,6 +148,8 @@ class SpatialActKind(ActKind):
         return dataclasses.replace(
             _policy_config(self.config_class, config, demos),
             keypoints=config.keypoints,
+            octaves=config.octaves,
+            head_width=config.head_width,
             keyframes=demos.keyframe_ticks.shape[1],
             grippers=demos.state_grippers,
             commanded_grippers=demos.commanded_grippers,

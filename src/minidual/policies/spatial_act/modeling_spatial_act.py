@@ -195,6 +195,41 @@ class KeypointEncoder(nn.Module):
         return self.pool(normalised)
 
 
+class PlaceWaves(nn.Module):
+    """Maps keypoints (B, 3 P) to what a head reads of them: themselves, and waves of their places.
+
+    An object may stand at either end of a picture, and there in a few centimetres. Of the places
+    alone a head learns the end soon and the centimetres hardly ever. Each octave halves the length
+    of the waves, so that small moves change the features as much as large ones do.
+
+    Source: Tancik et al., Fourier Features Let Networks Learn High Frequency Functions, 2020.
+
+    Args:
+        keypoints: Keypoints of a camera.
+        cameras_n: Number of cameras.
+        octaves: Number of wave lengths, the longest the width of a picture; 0: the keypoints alone.
+
+    Attributes:
+        dim: Features.
+    """
+
+    def __init__(self, keypoints: int, cameras_n: int, octaves: int) -> None:
+        super().__init__()
+        self._shape = (cameras_n, 3, keypoints)
+        self._octaves = octaves
+        places_n = cameras_n * 2 * keypoints
+        self.dim = 3 * keypoints * cameras_n + 2 * octaves * places_n
+
+    def forward(self, keypoints: Tensor) -> Tensor:
+        """Map (B, 3 P) to (B, dim)."""
+        if not self._octaves:
+            return keypoints
+        places = keypoints.unflatten(1, self._shape)[:, :, :2].flatten(1)
+        octaves = torch.arange(self._octaves, device=places.device)
+        phases = (places.unsqueeze(-1) * (math.pi * 2.0**octaves)).flatten(1)
+        return torch.cat([keypoints, phases.sin(), phases.cos()], dim=1)
+
+
 class KeyframeReader(nn.Module):
     """Encoders and keyframe head: the layers that see pictures."""
 
@@ -206,14 +241,15 @@ class KeyframeReader(nn.Module):
         )
         self.keypoint_dim = 3 * config.keypoints * len(self.cameras)
         self.shape = (config.keyframes, action_dim)
+        self.waves = PlaceWaves(config.keypoints, len(self.cameras), config.octaves)
         # Linear plus a small nonlinear branch: the map from pixels to joints is nearly linear over
         # the few centimetres that an object moves, and few demonstrations suffice for a linear map.
         keyframes_dim = math.prod(self.shape)
-        self.linear = nn.Linear(self.keypoint_dim, keyframes_dim)
+        self.linear = nn.Linear(self.waves.dim, keyframes_dim)
         self.hidden = nn.Sequential(
-            nn.Linear(self.keypoint_dim, 64),
+            nn.Linear(self.waves.dim, config.head_width),
             nn.ReLU(),
-            nn.Linear(64, keyframes_dim),
+            nn.Linear(config.head_width, keyframes_dim),
         )
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
@@ -221,7 +257,8 @@ class KeyframeReader(nn.Module):
         pairs = zip(self.encoders, self.cameras, strict=True)
         of_cameras = [encoder(batch[camera]) for encoder, camera in pairs]
         keypoints = torch.cat(of_cameras, dim=1)
-        return keypoints, self.linear(keypoints) + self.hidden(keypoints)
+        features = self.waves(keypoints)
+        return keypoints, self.linear(features) + self.hidden(features)
 
 
 class Glance(NamedTuple):
