@@ -109,6 +109,61 @@ def test_keypoints_do_not_depend_on_the_light_of_the_maps() -> None:
     assert (encoder(image) - before).abs().max() < 1e-3
 
 
+@pytest.mark.parametrize("octaves", [0, 3])
+def test_waves_keep_the_keypoints_and_turn_with_their_places(octaves: int) -> None:
+    waves = backbone.PlaceWaves(keypoints=2, cameras_n=1, octaves=octaves)
+    x, y = 0.25, -0.5
+    keypoints = torch.tensor([[x, 0.0, y, 0.0, 0.1, 0.2]])  # two x, two y, two spreads
+    features = waves(keypoints)
+    assert features.shape == (1, waves.dim)
+    assert torch.equal(features[:, :6], keypoints)
+    sines, cosines = features[0, 6:].unflatten(0, (2, 4 * octaves)) if octaves else ([], [])
+    for octave in range(octaves):
+        for place, value in ((0, x), (2, y)):
+            angle = np.pi * 2**octave * value
+            assert float(sines[place * octaves + octave]) == pytest.approx(np.sin(angle), abs=1e-6)
+            assert float(cosines[place * octaves + octave]) == pytest.approx(
+                np.cos(angle), abs=1e-6
+            )
+
+
+def _error_at_either_end(octaves: int) -> float:
+    """Return the error of a head in what depends on the place of an object, of its largest value.
+
+    The object stands at the left or at the right end of the picture, and there within a tenth.
+    """
+    generator = torch.Generator().manual_seed(4)
+    torch.manual_seed(4)
+    waves = backbone.PlaceWaves(keypoints=2, cameras_n=1, octaves=octaves)
+    linear = torch.nn.Linear(waves.dim, 4)
+    hidden = torch.nn.Sequential(
+        torch.nn.Linear(waves.dim, 64), torch.nn.ReLU(), torch.nn.Linear(64, 4)
+    )
+    parameters = [*linear.parameters(), *hidden.parameters()]
+    optimiser = torch.optim.AdamW(parameters, lr=2.5e-3)
+    slower = torch.optim.lr_scheduler.MultiStepLR(optimiser, [400], gamma=0.1)
+    for _ in range(600):
+        right = (torch.rand(32, 1, generator=generator) < 0.5).float()
+        moved = 0.1 * (2.0 * torch.rand(32, 2, generator=generator) - 1.0)
+        places = moved + torch.cat([1.6 * right - 0.8, torch.zeros_like(right)], dim=1)
+        keypoints = torch.cat([places[:, :1], places[:, :1], places[:, 1:], places[:, 1:]], dim=1)
+        features = waves(torch.cat([keypoints, torch.zeros(32, 2)], dim=1))
+        # Each arm goes to the object on its side, and otherwise stays where it is.
+        target = torch.cat([moved * right, moved * (1.0 - right)], dim=1)
+        error = (linear(features) + hidden(features) - target).abs().mean()
+        optimiser.zero_grad()
+        error.backward()
+        optimiser.step()
+        slower.step()
+    return float(error.detach()) / 0.1
+
+
+def test_a_head_learns_centimetres_at_either_end_of_the_picture() -> None:
+    """What a handover asks of it, and what it hardly learns of the places alone."""
+    assert _error_at_either_end(octaves=3) < 0.05
+    assert _error_at_either_end(octaves=0) > 0.07
+
+
 def test_a_network_without_keyframes_has_another_name(demos: Demonstrations) -> None:
     """Its transformer sees image keypoints, which that of `keyframe_act` does not."""
     policy = _policy(demos)
