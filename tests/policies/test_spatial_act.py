@@ -164,6 +164,26 @@ def test_a_head_learns_centimetres_at_either_end_of_the_picture() -> None:
     assert _error_at_either_end(octaves=0) > 0.07
 
 
+def test_the_settings_make_the_head_and_a_checkpoint_keeps_them(
+    demos: Demonstrations,
+    tmp_path: Path,
+) -> None:
+    plain = _policy(demos).model.backbone
+    assert plain.linear.in_features == plain.keypoint_dim
+    policy = _policy(demos, octaves=3, head_width=24)
+    head = policy.model.backbone.hidden
+    assert head[0].in_features == plain.keypoint_dim * (1 + 2 * 3 * 2 / 3)
+    assert head[0].out_features == 24
+    policy.save_pretrained(tmp_path)
+    kept = backbone.SpatialActPolicy.from_pretrained(tmp_path)
+    policy.eval()
+    batch = _batch(demos, 5)
+    assert torch.equal(
+        kept.model.backbone(batch)[1],
+        policy.model.backbone(batch)[1],
+    )
+
+
 def test_a_network_without_keyframes_has_another_name(demos: Demonstrations) -> None:
     """Its transformer sees image keypoints, which that of `keyframe_act` does not."""
     policy = _policy(demos)
@@ -322,9 +342,9 @@ def test_a_policy_driven_from_closed_grippers_keeps_its_first_keyframe(
     assert looks[0].abs().max() > 0.0
 
 
-def _policy(demos: Demonstrations) -> Any:
+def _policy(demos: Demonstrations, **settings: Any) -> Any:
     torch.manual_seed(0)
-    policy = act.SPATIAL_ACT.make(TrainConfig(**SMALL), demos)
+    policy = act.SPATIAL_ACT.make(TrainConfig(**{**SMALL, **settings}), demos)
     policy.train()
     return policy
 
