@@ -156,8 +156,8 @@ class TrainConfig(StrictModel):
     keypoints: int = Field(default=64, ge=4, le=256)
     """Spatial-softmax keypoints of each camera."""
     octaves: int = Field(default=0, ge=0, le=8)
-    """Wave lengths in which the keyframe head reads the places of keypoints; 0: places alone. 3 reads
-    an object that may stand at either end of the picture; the rod is carried less often with it."""
+    """Wave lengths in which the keyframe head reads the places of keypoints; 0: places alone. 3 helps
+    if an object may stand at either end of the picture; the rod is carried less often with it."""
     head_width: int = Field(default=64, ge=8, le=1024)
     """Hidden units of the keyframe head."""
     denoising_steps: int = Field(default=5, ge=1, le=100)

@@ -198,9 +198,9 @@ class KeypointEncoder(nn.Module):
 class PlaceWaves(nn.Module):
     """Maps keypoints (B, 3 P) to what a head reads of them: themselves, and waves of their places.
 
-    An object may stand at either end of a picture, and there in a few centimetres. Of the places
-    alone a head learns the end soon and the centimetres hardly ever. Each octave halves the length
-    of the waves, so that small moves change the features as much as large ones do.
+    An object may stand at either end of a picture, a few centimetres to and fro. From the places
+    alone a head soon learns which end, and hardly ever the centimetres. Each octave halves the
+    length of the waves, so that small moves change the features as much as large ones do.
 
     Source: Tancik et al., Fourier Features Let Networks Learn High Frequency Functions, 2020.
 
